@@ -10,7 +10,7 @@ KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) 
 STAMP := $(VENV)/.installed
 FLYING := $(VENV)/.installed-demo
 
-.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
+.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -124,6 +124,10 @@ e2e: $(STAMP) $(VENV)-e2e/.installed
 
 endurance: $(STAMP)
 	$(BIN)/python -m benchmarks.reliability.endurance
+
+# Links that deliver frames late, twice, or by another path; a quarter of an hour
+links: $(STAMP)
+	$(BIN)/python -m benchmarks.reliability.links
 
 # Every fault again and again for hours of flight, then against the daemon; forty minutes
 soak: $(STAMP)

@@ -77,7 +77,8 @@ def _link(link: Data) -> str:
 
 
 def _frames(frames: Data) -> str:
-    names = ["bad_crc", "unknown_id", "incompatible", "junk_bytes", "lost", "late", "duplicates"]
+    names = ["bad_crc", "unknown_id", "incompatible", "junk_bytes"]
+    names += ["lost", "late", "duplicates", "again"]
     losses = {name.replace("_", " "): frames[name] for name in names}
     text = f"{frames['frames']} good, {frames['signed']} signed"
     return _with_losses(text, {**losses, **frames["refused"], **frames["ignored"]})

@@ -91,8 +91,7 @@ def find_reasons(x: State, k: Parameters) -> int:
         return reasons
     if not x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] <= k.limit_pos * k.limit_pos:
         reasons |= REASON_UNCERTAIN
-    # one second beyond the interval at which the receiver speaks, and its delay
-    late = 1.0 + (x.fix_dt if x.fix_dt < 2.0 else 2.0)
+    late = late_fix(x)
     if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
         reasons |= REASON_UNAIDED
     if x.needs_reset != 0.0:
@@ -136,6 +135,11 @@ def find_reasons(x: State, k: Parameters) -> int:
     if is_fall_unconfirmed(x):
         reasons |= REASON_FALL
     return reasons
+
+
+def late_fix(x: State) -> float:
+    """Return the time in which a fix should come, s: a second beyond the receiver's interval."""
+    return 1.0 + (x.fix_dt if x.fix_dt < 2.0 else 2.0)
 
 
 def is_refused(x: State, aid: int) -> bool:

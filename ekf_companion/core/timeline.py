@@ -23,7 +23,7 @@ import cython
 import numpy as np
 from cython import address
 from cython.cimports.ekf_companion.core import enums, kernel
-from cython.cimports.ekf_companion.core.estimate import find_reasons, write_estimate
+from cython.cimports.ekf_companion.core.estimate import find_reasons, late_fix, write_estimate
 from cython.cimports.ekf_companion.core.events import compare, is_sane
 from cython.cimports.ekf_companion.core.gate import begin_reset
 from cython.cimports.ekf_companion.core.held import Held
@@ -180,13 +180,24 @@ class Timeline:
     def set_clock(self, t_ns: int) -> None:
         """Continue on a clock that was set: its first inertial sample follows the last of the old.
 
-        How long there was between the two nobody knows; it is taken for the usual interval. What
-        was heard by the old clock stays as it is, and no event goes behind it. It counts as a
-        reset: whoever compares stamps is told that they have moved.
+        How long there was between the two nobody knows; it is taken for the usual interval, and the
+        position is no surer than the way in the time by which the clock went back: the same motion
+        may have been heard twice. What was heard by the old clock stays as it is, and no event goes
+        behind it. It counts as a reset: whoever compares stamps is told that they have moved.
         """
         self.is_set = False
         self.hand_over(self.cursor)
         begin_reset(self.x, enums.RESET_CLOCK)
+        back = cython.declare(cython.double, 1e-9 * (self.stamp_ns - t_ns))
+        for i in range(3):
+            for j in range(3):
+                way = self.x.vel_n[i] * self.x.vel_n[j] * back * back
+                self.x.P[enums.E_POS + i][enums.E_POS + j] += way
+        if self.x.mode == enums.MODE_NAVIGATE:
+            # until fixes by the new clock have had their say
+            proven_t = self.x.t + 1e9 * late_fix(self.x)
+            if self.x.at_rest == 0.0 and proven_t > self.x.proven_t:
+                self.x.proven_t = proven_t
         shown = cython.cast(cython.longlong, self.x.t + 1e9 * self.x.dt)
         self.epoch_ns = t_ns - self.delay[enums.KIND_IMU] - shown
         self.begin_stretch()

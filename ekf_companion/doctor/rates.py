@@ -20,6 +20,8 @@ _PX4_IMU = 250.0
 _FEW_FIXES = 1.5
 """Hz."""
 _LOST, _MANY_LOST = 0.01, 0.1
+_TWICE = 0.05
+"""Share of all frames that came again; a burst after a stall is less."""
 ENOUGH = 0.8
 """Share of the rate asked that is enough."""
 _LOOP_SHARE = 0.8
@@ -48,7 +50,7 @@ def rates(evidence: Evidence) -> StageResult:
     saw += f", {share:.1%} lost"
     if state.rate < ENOUGH * state.asked and _is_whole_division(evidence, state):
         saw += " (PX4 divides its rate by whole numbers)"
-    problems = [_lost(share, evidence), *_slow(evidence, state, share)]
+    problems = [_twice(evidence), _lost(share, evidence), *_slow(evidence, state, share)]
     if gnss is not None and 0.0 < gnss.rate < _FEW_FIXES:
         few = warning(
             f"GPS_RAW_INT comes at {_hertz(gnss.rate)}: few fixes make a slow and coarse estimate.",
@@ -92,6 +94,19 @@ def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
     base = evidence.parameters.get("IMU_INTEG_RATE", _PX4_IMU)
     parts = max(1, math.ceil(base / state.asked - 0.05))
     return abs(state.rate - base / parts) <= 0.08 * base / parts
+
+
+def _twice(evidence: Evidence) -> Problem | None:
+    """Return that the autopilot's frames come by two paths."""
+    frames = evidence.frames
+    if frames.again < _TWICE * frames.frames:
+        return None
+    return warning(
+        f"The autopilot's messages come by two paths, on one of them {frames.again_late:.2f} s "
+        f"later: {frames.again} came again, which do not count.",
+        "Nothing need be done for the estimate; look for a second link, or a router, that leads "
+        "here: it costs the board time and the link room.",
+    )
 
 
 def _lost(share: float, evidence: Evidence) -> Problem | None:

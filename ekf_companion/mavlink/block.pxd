@@ -37,11 +37,14 @@ cdef class BlockReader(RowWriter):
     cdef free(self)
     @cython.locals(system=cython.int, component=cython.int)
     cdef bint read_timesync(self, Py_ssize_t k) except -1
-    @cython.locals(stamp=cython.longlong, is_late=bint, is_due=bint)
-    cdef bint read_attitude(self, Py_ssize_t k) except -1
+    @cython.locals(stamp=cython.longlong, is_late=bint, is_due=bint, k=cython.Py_ssize_t)
+    cdef bint read_attitude(self, Py_ssize_t i) except -1
     cdef bint is_near(self, long long stamp) except -1
-    @cython.locals(stamp=cython.longlong, t_ns=cython.longlong, is_taken=bint, place=double[::1])
-    cdef bint read_position(self, Py_ssize_t k) except -1
+    @cython.locals(
+        stamp=cython.longlong, t_ns=cython.longlong, is_taken=bint, place=double[::1],
+        k=cython.Py_ssize_t
+    )
+    cdef bint read_position(self, Py_ssize_t i) except -1
     cdef bint read_fix(self, Py_ssize_t i) except -1
     cdef write_heading(self, long long t_ns, double yaw)
     @cython.locals(

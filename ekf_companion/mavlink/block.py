@@ -21,8 +21,9 @@ from ekf_companion.mavlink.decode.decoder import HELD
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
 from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, PRESSURE
 from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.past_frames import SLACK_US
 from ekf_companion.mavlink.session import Session
-from ekf_companion.mavlink.timebase import BACK_US, NEAR_US, SURE_US, UNIX_FROM_US
+from ekf_companion.mavlink.timebase import NEAR_US, SURE_US, UNIX_FROM_US
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.earth import is_place, pressure_altitude
 
@@ -40,7 +41,7 @@ ODOMETRY_ID = cython.declare(cython.longlong, IDS["ODOMETRY"])
 TIMESYNC_ID = cython.declare(cython.longlong, IDS["TIMESYNC"])
 LAST_MS = cython.declare(cython.longlong, 1 << 31)
 """Milliseconds of boot time beyond are left to the decoder: they wrap."""
-BACK = cython.declare(cython.longlong, BACK_US)
+SLACK = cython.declare(cython.longlong, SLACK_US)
 NEAR = cython.declare(cython.longlong, NEAR_US)
 SURE = cython.declare(cython.longlong, SURE_US)
 UNIX = cython.declare(cython.longlong, UNIX_FROM_US)
@@ -112,6 +113,8 @@ class BlockReader(RowWriter):
             return i
         end = self.read_on(i)
         self.store()
+        if end > i:
+            self.session.past.keep_run(self.frames, i, end)
         return end
 
     def load(self, buffer: EventBuffer) -> bool:
@@ -209,11 +212,11 @@ class BlockReader(RowWriter):
         if kind == INERTIAL:
             return self.read_inertial(self.row[i])
         if kind == ATTITUDE:
-            return self.read_attitude(self.row[i])
+            return self.read_attitude(i)
         if kind == TIMESYNC:
             return self.read_timesync(self.row[i])
         if kind == POSITION:
-            return self.read_position(self.row[i])
+            return self.read_position(i)
         if kind == FIX:
             return self.read_fix(i)
         return True
@@ -245,8 +248,9 @@ class BlockReader(RowWriter):
             self.session.misaddressed[TIMESYNC_ID] += 1
         return True
 
-    def read_attitude(self, k: int) -> bool:
+    def read_attitude(self, i: int) -> bool:
         """Follow the stamp of an attitude, and write its heading if that is due."""
+        k = self.row[i]
         stamp = self.boot_ms[k] * 1000
         if self.is_yaw_ours or not self.is_near(stamp):
             return False
@@ -256,6 +260,7 @@ class BlockReader(RowWriter):
         is_due = self.pace.is_due(stamp * 1000)
         if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0 or (is_due and is_late):
             return False
+        self.clock.now_us = self.stamp_us[i] // 4 * 4
         self.clock.advance_boot_ms(self.boot_ms[k])
         self.heading_sources.admit(0, stamp * 1000)
         if is_due:
@@ -269,10 +274,12 @@ class BlockReader(RowWriter):
         latest = cython.declare(cython.longlong, self.main.latest_us)
         if latest > UNIX or latest // 1000 > LAST_MS or stamp == 0:
             return False
-        return -BACK <= stamp - latest <= NEAR
+        # One that is further behind may have been heard before
+        return -SLACK <= stamp - latest <= NEAR
 
-    def read_position(self, k: int) -> bool:
+    def read_position(self, i: int) -> bool:
         """Follow the stamp of an autopilot's own position, and write what of it is due."""
+        k = self.row[i]
         stamp = self.position_ms[k] * 1000
         place = self.positions[k]
         if not self.is_position_plain or self.is_yaw_ours or not self.is_near(stamp):
@@ -281,6 +288,7 @@ class BlockReader(RowWriter):
             return False
         if stamp < self.main.latest_us or not is_place(1e-7 * place[0], 1e-7 * place[1]):
             return False
+        self.clock.now_us = self.stamp_us[i] // 4 * 4
         self.clock.advance_boot_ms(self.position_ms[k])
         t_ns = stamp * 1000
         is_taken = place[6] <= LARGEST_HEADING and self.heading_sources.admit(1, t_ns)
@@ -294,9 +302,10 @@ class BlockReader(RowWriter):
 
     def read_fix(self, i: int) -> bool:
         """Let the decoder read a fix of the receiver, which says nothing of the clock."""
-        if self.clock.is_behind:
+        frame = self.frames.frame(i)
+        if self.clock.is_behind or self.session.past.is_behind(frame, self.clock):
             return False
-        measurements = self.position.gps_raw_int(self.frames.frame(i))
+        measurements = self.position.gps_raw_int(frame)
         if self.decoder.notes:
             self.session.emit_notes()
         if self.has_held:

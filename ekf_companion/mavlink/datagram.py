@@ -15,7 +15,7 @@ import numpy as np
 from ekf_companion.mavlink.autopilot_estimate import KEPT
 from ekf_companion.mavlink.block import BlockReader
 from ekf_companion.mavlink.block_columns import INERTIAL, LATEST_US, PASSED, READ, TIMESYNC
-from ekf_companion.mavlink.frame import HEADER_SIZE, STX_2
+from ekf_companion.mavlink.frame import HEADER_SIZE, STX_2, Frame
 from ekf_companion.mavlink.messages import CRC_EXTRAS, by_name
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.buffer import EventBuffer
@@ -82,6 +82,7 @@ class DatagramReader(BlockReader):
             return None
         self.numbers.count(data[4], now_ns)
         self.session.note_frame(number, end + 2)
+        self.session.past.keep(Frame(number, data[5], data[6], data[4], data[10:end], data, 2))
         if self.is_recording:
             self.session.outbox.record(data, now_ns)
         return self.take_rows()

@@ -39,11 +39,13 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
+from ekf_companion.mavlink.past_frames import PLACES, PastFrames
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.second_source import SecondSource
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
+from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.mavlink.statustext import StatusText
 from ekf_companion.nav.measurements import Measurement, Restart
 
@@ -130,7 +132,7 @@ class Session:
         """Messages of a kind that we answer, addressed to another, by message id."""
         self.on_frame: Callable[[Frame], None] | None = None
         """Called with each frame that came in, junk included, before anything is made of it."""
-        self.sequence = Sequence()
+        self.sequence, self.past = Sequence(), PastFrames()
         self.outbox = Outbox(
             Sender(options.system_id or 1, options.component_id, signing),
             is_recording=options.is_recording,
@@ -297,9 +299,14 @@ class Session:
     def _receive_from_autopilot(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Handle what only the autopilot may say; return what it measured."""
         number = frame.message_id
+        if self.past.holds(frame, self.decoder.clock, now_ns):
+            self.sequence.note_again(frame.sequence, now_ns)
+            self.decoder.pass_again(self.past)
+            self.emit_notes()
+            return []
         self.heard += 1
         self.received[number] += 1
-        self.sequence.count(frame.sequence, now_ns)
+        is_old = self.sequence.count(frame.sequence, now_ns, self.past.is_late)
         if (handlers := self.peer_routes.get(number)) is not None:
             self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:
@@ -307,10 +314,14 @@ class Session:
         if number in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
 
-        measurements = self.decoder.decode(frame)
+        if is_old and number not in PLACES:
+            return []  # it has no stamp to tell it by, but came among others that came again
+        measurements = self.decoder.decode(frame, quantise(now_ns))
         if self.decoder.notes:
             self.emit_notes()
         first = measurements[0] if measurements else None
+        if type(first) is Restart:
+            self.past.forget()
         if type(first) is Restart and not first.goes_on:
             self._emit(Rebooted())
             self._begin(PeerFound(*frame[1:3], self.discovery.family))
@@ -352,6 +363,7 @@ class Session:
         """Begin every conversation anew: the autopilot knows nothing of us."""
         if self._vehicle not in (None, peer):
             self.decoder.begin()
+            self.past.forget()
         self._vehicle = peer
         self.decoder.family = peer.family
         if self.options.system_id is None:
@@ -469,6 +481,7 @@ class Session:
             "lost": self.sequence.lost,
             "late": self.sequence.late,
             "duplicate": self.sequence.duplicate,
+            "again": self.past.again,
             "signed": self.admission.signed,
             **{f"not admitted: {why}": count for why, count in self.admission.refused.items()},
             **{f"ignored: {whose}": count for whose, count in self.ignored.items()},

@@ -51,7 +51,7 @@ class Reason(IntFlag):
     SLOW_SAMPLES = 1 << 3
     """Inertial samples come too rarely for the attitude of a vehicle."""
     UNPROVEN = 1 << 4
-    """The attitude is new, and fixes are to confirm it."""
+    """The attitude, or the autopilot's clock, is new, and fixes are to confirm it."""
     AUTOPILOTS = 1 << 5
     """The position is the autopilot's own estimate, whose errors last."""
     POSITION_REFUSED = 1 << 6

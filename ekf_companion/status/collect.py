@@ -147,6 +147,8 @@ def frame_state(session: Session) -> FrameState:
         lost=counters["lost"],
         late=counters["late"],
         duplicates=counters["duplicate"],
+        again=counters["again"],
+        again_late=session.past.lag_us * 1e-6,
         signed=counters["signed"],
         refused=dict(session.admission.refused),
         ignored=dict(session.ignored),

@@ -93,6 +93,12 @@ class FrameState:
     """By its sequence numbers, as the two that follow."""
     late: Annotated[int, counter("frames_late", "Came after their successors.")]
     duplicates: Annotated[int, counter("frames_duplicate", "Came twice in a row.")] = 0
+    again: Annotated[
+        int, counter("frames_again", "Stamped, old, and heard before: not counted.")
+    ] = 0
+    again_late: Annotated[
+        float, gauge("frames_again_late_seconds", "By how much the last was.")
+    ] = 0.0
     signed: Annotated[int, counter("frames_signed", "With a signature that was right.")]
     refused: Annotated[Mapping[str, int], counter("frames_refused", "Not admitted.", ("reason",))]
     """By reason: ids that may not speak, signatures."""

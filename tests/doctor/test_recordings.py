@@ -1,11 +1,13 @@
 """Recordings that begin before the autopilot's heartbeat, or end after it was switched off."""
 
+import pytest
+
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Means
-from ekf_companion.doctor.stage import Outcome
+from ekf_companion.doctor.stage import Outcome, Stage
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import WarmStart
@@ -84,3 +86,17 @@ def test_what_was_answered_before_the_first_heartbeat_is_heard():
         assert evidence.messages["HIGHRES_IMU"].answer == "accepted"
         assert evidence.messages["HIGHRES_IMU"].asked == 100.0
         assert [f.stage.value for f in diagnose(evidence) if f.outcome is Outcome.FAILED] == []
+
+
+@pytest.mark.parametrize("begin", [0, 2_000_000])
+def test_a_second_path_is_named_and_its_frames_are_not_lost(begin):
+    record = recorded(1)
+    alone = record[0][0] + begin
+    second = [(stamp_us + 400_000, raw) for stamp_us, raw in record if stamp_us >= alone]
+    found = diagnosed(sorted([*record, *second], key=lambda one: one[0]))
+    (rates,) = (one for one in diagnose(found) if one.stage is Stage.RATES)
+    assert any("come by two paths, on one of them 0.4" in one.cause for one in rates.problems)
+    # Which of two is late is not known in the first moments
+    assert found.frames.lost <= (600 if begin == 0 else 0)
+    (rates,) = (one for one in diagnose(diagnosed(record)) if one.stage is Stage.RATES)
+    assert not any("two paths" in one.cause for one in rates.problems)

@@ -36,11 +36,12 @@ def cycles(
     kind: Kind = Kind.PX4,
     system_id: int = 1,
     without: Iterable[str] = (),
+    seed: int = 1,
 ) -> Iterator[tuple[int, bytes]]:
     """Yield stamp and bytes of each cycle of an autopilot's loop, some messages left out."""
     streams = StreamConfig(**dict.fromkeys(without, 0.0))
     config = SimConfig(streams=streams, system_id=system_id)
-    flight = Flight.plan(scenario, config, duration=duration)
+    flight = Flight.plan(scenario, config, duration=duration, seed=seed)
     autopilot = Autopilot(config, kind)
     for cycle in flight.cycles():
         autopilot.cycle(cycle)

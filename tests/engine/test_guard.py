@@ -245,7 +245,7 @@ def test_a_reboot_is_waited_for_and_asked_about_anew(cycles):
     link.sent.clear()
     # Its clock begins anew, and with it other parameters
     link.autopilot.parameters.update(BOTH[Kind.PX4])
-    link.fly(cycles)
+    link.fly(list(Flight.plan("hover", SimConfig(imu=IMU), duration=8.0, seed=2).cycles()))
     assert link.times("ODOMETRY") == []
     assert {name for _, name in link.asked()} >= {"EKF2_EV_CTRL", "EKF2_GPS_CTRL"}
     assert not link.verdict.is_streaming

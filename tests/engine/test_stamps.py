@@ -114,7 +114,8 @@ def test_samples_that_are_stamped_ahead_change_nothing(ahead, at):
 
 @pytest.mark.parametrize("by", [0.1, 0.3, 0.5, 0.9, 1.2, 1.5, 3.0])
 def test_a_clock_that_is_set_back_is_followed_without_a_sample_lost(by):
-    found = judge(set_back(by))
+    # A second of the fifteen is not called OK, until fixes have confirmed it
+    found = judge(set_back(by), 0.9)
     (step,) = np.flatnonzero(np.diff(found.stamps) < 0)
     assert np.diff(found.values[:, -1]).nonzero()[0].tolist() == [step]  # the reset counter tells
     assert found.pipeline.health().reset_reason == "clock"
@@ -217,7 +218,8 @@ def test_over_the_wire_odometry_goes_on_as_without_it_and_its_replay_is_the_same
     stamps = np.array([one.time_usec for one in sent])
     resets = np.array([one.reset_counter for one in sent])
     assert ((np.diff(stamps) > 0) | (np.diff(resets) != 0)).all()
-    assert resets[-1] - resets[0] == case.startswith("set")
+    # Once for the clock; the fixes after it then move a position that is no longer sure
+    assert (resets[-1] != resets[0]) == case.startswith("set")
 
     # The same motion, whatever the stamps
     assert len(sent) == pytest.approx(len(clean()), abs=6)

@@ -1,6 +1,7 @@
 """What stamps make of time, message by message: wraps, wild fields, and those of sending."""
 
 import random
+from itertools import pairwise
 
 import pytest
 
@@ -245,3 +246,34 @@ def test_a_late_sample_is_given_with_the_next_that_is_not():
     found = numbered(peer, stamps)
     assert [one.t_ns // 1000 for one in only(ImuSample, found)] == stamps
     assert not only(Restart, found)
+
+
+SHORT = 1 << 32
+"""Microseconds of 32 bits go round, after 71.6 minutes."""
+
+
+@pytest.mark.parametrize(
+    "begin_us",
+    [
+        *(SHORT - 10_000_000, SHORT - 100_000, SHORT + 10_000_000, 2 * SHORT - 5_000_000),
+        *(5 * SHORT + 77, WRAP_MS * 1000 - 10_000_000, WRAP_MS * 1000 + 5_000_000, 600_000_000),
+    ],
+)
+def test_microseconds_of_32_bits_go_on_by_the_milliseconds_beside_them(begin_us):
+    """RAW_IMU of ArduPilot before 2021; also where the milliseconds wrap meanwhile."""
+    peer, found = Peer(), []
+    for n in range(1500):
+        t_us = begin_us + 20_000 * n
+        found += peer.say("RAW_IMU", time_usec=t_us % SHORT, zacc=-1000, xgyro=n % 7)
+        if n % 5 == 0:
+            t_ms = t_us // 1000 % WRAP_MS
+            found += peer.say("ATTITUDE", time_boot_ms=t_ms, yaw=1.0)
+    stamps = [one.t_ns for one in only(ImuSample, found)]
+    assert len(stamps) > 1300  # a better source is waited for first
+    restarts = [n for n, one in enumerate(found) if type(one) is Restart]
+    assert not restarts or max(restarts) < 200  # until the milliseconds are known
+    late = stamps[200:]
+    assert all(0 < b - a <= 21 * MS for a, b in pairwise(late))
+    assert stamps[-1] % (WRAP_MS * MS) == pytest.approx(
+        (begin_us + 20_000 * 1499) * 1000 % (WRAP_MS * MS), abs=3 * MS
+    )

@@ -267,7 +267,7 @@ def test_after_a_reboot_everything_is_asked_again():
     assert len(answer_all(session, autopilot, 0)) == 1
     session.events()
     assert session.receive(autopilot.imu(2_000_000), SECOND) == []  # one stamp may be wild
-    measured = session.receive(autopilot.imu(2_250_000), SECOND)
+    measured = session.receive(autopilot.imu(2_250_000), SECOND + SECOND // 4)
     assert [type(one) for one in measured] == [Restart, ImuSample]
     assert session.events() == [Rebooted()]
     assert len(answer_all(session, autopilot, SECOND)) == 1
@@ -348,8 +348,8 @@ def test_no_request_is_answered_before_the_clock_is_known():
 def test_a_reboot_forgets_the_autopilots_clock():
     """Rule 12."""
     session, autopilot = synchronised(5 * SECOND)
-    for t_us in (60_000_000, 1_000_000, 1_250_000):
-        session.receive(autopilot.imu(t_us), 5 * SECOND)
+    for t_us, now_ns in ((60_000_000, 0), (1_000_000, 0), (1_250_000, SECOND // 4)):
+        session.receive(autopilot.imu(t_us), 5 * SECOND + now_ns)
     session.receive(autopilot.say("timesync", ts1=987), 5 * SECOND)
     assert sent(session, "TIMESYNC") == []
 
@@ -417,7 +417,8 @@ def test_a_recording_fed_frame_by_frame_gives_what_was_measured_live(seed, place
     for stamp_us, raw in record:
         again += replay.receive(raw, stamp_us * 1000)
     assert again == measured
-    assert sum(type(one) is Restart for one in measured) == 1
+    # None where all that came after the reboot came at once
+    assert sum(type(one) is Restart for one in measured) <= 1
 
 
 def test_nothing_is_kept_unless_it_is_to_be_recorded():

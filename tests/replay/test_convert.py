@@ -288,8 +288,10 @@ def test_progress_goes_through_both_runs_and_ends(flown):
 
 
 def test_a_reboot_is_named_as_one(flown, tmp_path):
-    twice = tmp_path / "twice.tlog"
-    twice.write_bytes((flown / "flight.tlog").read_bytes() * 2)
+    twice, again = tmp_path / "twice.tlog", tmp_path / "again.tlog"
+    asked = ["generate", "--duration", str(SECONDS), "--imu-rate", "100", "--seed", "2"]
+    assert CliRunner().invoke(sim, [*asked, "-o", str(again)]).exit_code == 0
+    twice.write_bytes((flown / "flight.tlog").read_bytes() + again.read_bytes())
     result = command("convert", twice, "-o", tmp_path / "out.csv")
     said = " ".join(result.output.split())
     assert (

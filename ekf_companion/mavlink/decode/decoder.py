@@ -14,6 +14,7 @@ from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.past_frames import PastFrames
 from ekf_companion.mavlink.timebase import Step, TimeBase
 from ekf_companion.nav.measurements import Restart
 
@@ -131,13 +132,27 @@ class Decoder:
                 reader.sources.use(rank)
         self.inertial.begin_stream()
 
-    def decode(self, frame: Frame) -> Measurements:
+    def pass_again(self, past: PastFrames) -> None:
+        """Take into account that a frame came again: the clock goes on as it did."""
+        self.context.clock.confirm()
+        if past.is_second_path and not past.is_named:
+            past.is_named = True
+            self.notes.append(
+                "The autopilot's messages come by two paths, on one of them "
+                f"{past.lag_us * 1e-6:.2f} s later: each counts once; look for a second link or a "
+                "router that leads here"
+            )
+
+    def decode(self, frame: Frame, now_ns: int | None = None) -> Measurements:
         """Return the measurements of a frame: none, one or several.
+
+        ``now_ns`` is when it arrived; None: not known, its stamp alone decides.
 
         A frame whose stamp is behind the newest waits until it is known why. If it was late, its
         measurements come with those of the next frame that is not; if the clock was set back, it is
         read again by the new clock.
         """
+        self.context.clock.now_us = None if now_ns is None else now_ns // 1000
         out = self.readers.get(frame.message_id, _skip)(frame)
         if out and type(out[0]) is Restart:
             held, self.held = self.held, []

@@ -124,10 +124,11 @@ class Inertial:
         if self._context.family is not Family.ARDUPILOT:
             return self._context.refuse("RAW_IMU: not ArduPilot")
         m = unpack(frame)
-        out = self._context.follow_us(m.time_usec, "RAW_IMU")
+        t_us = self._context.clock.widened(m.time_usec)
+        out = self._context.follow_us(t_us, "RAW_IMU")
         if out is None:
             return []
-        self._add_integers(out, 1, m.time_usec, m)
+        self._add_integers(out, 1, t_us, m)
         return out
 
     def scaled_imu(self, frame: Frame) -> Measurements:

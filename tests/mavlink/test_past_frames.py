@@ -1,0 +1,152 @@
+"""Frames that were heard before, late ones, and a clock that was really set back."""
+
+import random
+
+import pytest
+
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.past_frames import KEPT, PastFrames
+from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.timebase import TimeBase
+from ekf_companion.nav.measurements import ImuSample, Restart
+
+MS = 1_000_000
+SECOND = 1_000_000_000
+BEGIN_US = 60_000_000
+STEP_US = 4000
+KINDS = {"HIGHRES_IMU": "time_usec", "RAW_IMU": "time_usec", "SCALED_IMU": "time_boot_ms"}
+"""The inertial messages, and their stamps."""
+OLD = {"age": [0.2, 0.5, 1.0, 1.5, 2.5, 8.0], "kind": list(KINDS)}
+
+
+def flight(kind, count, seed=1):
+    """Return arrival, ns, and frames of an autopilot: samples, and what comes between them."""
+    rng, sender, heard = random.Random(seed), Sender(1, 1), []
+    for n in range(count):
+        t_us = BEGIN_US + STEP_US * n
+        stamp = t_us if KINDS[kind] == "time_usec" else t_us // 1000
+        numbers = {name: rng.randrange(-900, 900) for name in ("xacc", "xgyro", "ygyro")}
+        extra = {"fields_updated": 0x3F} if kind == "HIGHRES_IMU" else {}
+        made = [sender.message(kind, **{KINDS[kind]: stamp}, zacc=-1000, **numbers, **extra)]
+        if n % 25 == 0:
+            made.append(sender.message("ATTITUDE", time_boot_ms=t_us // 1000, yaw=rng.random()))
+            made.append(sender.message("VFR_HUD", heading=n // 25 % 360))
+        if n % 50 == 0:
+            place = {"lat": 473977635 + rng.randrange(999), "lon": 85455780, "fix_type": 3}
+            made.append(sender.message("GPS_RAW_INT", time_usec=t_us - 120_000, **place))
+        if n % 250 == 0:
+            made.append(sender.message("HEARTBEAT", type=2, autopilot=3))
+        heard += [(t_us * 1000, frame) for frame in made]
+    return heard
+
+
+def hear(session, heard):
+    """Return what a session measured of frames, each at its time."""
+    return [one for at, frame in heard for one in session.receive(frame, at)]
+
+
+def samples(measurements):
+    return [one for one in measurements if type(one) is ImuSample]
+
+
+def restarts(measurements):
+    return [one for one in measurements if type(one) is Restart]
+
+
+@pytest.mark.parametrize("age", OLD["age"])
+@pytest.mark.parametrize("kind", OLD["kind"])
+def test_a_burst_of_frames_that_were_heard_before_changes_nothing(kind, age):
+    heard = flight(kind, 4000)
+    at = 3000
+    first = next(i for i, one in enumerate(heard) if one[0] >= heard[at][0] - age * SECOND)
+    again = [(heard[at][0] + i, frame) for i, (_, frame) in enumerate(heard[first:at])]
+    clean, burst = Session(), Session()
+    expected = hear(clean, heard)
+    found = hear(burst, [*heard[:at], *again, *heard[at:]])
+    assert samples(found) == samples(expected)
+    assert not restarts(found)
+    assert burst.sequence.lost == clean.sequence.lost == 0
+    assert burst.past.again > 0.9 * (at - first)
+
+
+@pytest.mark.parametrize("apart", [0.05, 0.4, 1.0, 2.5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_second_path_counts_once_and_is_named_once(kind, apart):
+    heard = flight(kind, 3000)
+    second = [(at + round(apart * SECOND), frame) for at, frame in heard[500:]]
+    both = sorted([*heard, *second], key=lambda one: one[0])
+    clean, session = Session(), Session()
+    expected = samples(hear(clean, heard))
+    found = hear(session, both)
+    assert samples(found) == expected
+    assert not restarts(found)
+    assert session.sequence.lost == 0
+    notes = [event.text for event in session.events() if hasattr(event, "text")]
+    assert sum("two paths" in str(note) for note in notes) <= 1
+    assert session.past.is_second_path
+
+
+@pytest.mark.parametrize("apart", [0.05, 0.4, 1.0, 2.5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_change_to_a_slower_path_is_no_other_clock(kind, apart):
+    heard = flight(kind, 3000)
+    begin = heard[1500][0]
+    slower = [(at + round(apart * SECOND), frame) for at, frame in heard]
+    change = [one for one in heard if one[0] < begin] + [one for one in slower if one[0] >= begin]
+    session = Session()
+    found = hear(session, change)
+    assert not restarts(found)
+    assert samples(found) == samples(hear(Session(), heard))[: len(samples(found))]
+    assert session.sequence.lost == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_late_frames_of_a_stall_fill_their_places_and_are_not_lost(kind):
+    """What comes after newer frames is no clock that was set back."""
+    heard, rng = flight(kind, 3000), random.Random(3)
+    begin, end = heard[1500][0], heard[1500][0] + SECOND
+    stalled = [one for one in heard if begin <= one[0] < end]
+    late = [one for one in stalled if rng.random() < 0.3]
+    after = [one for one in heard if one[0] >= end]
+    given = [one for one in heard if one[0] < begin] + after[:30]
+    given += [(after[30][0] + i, frame) for i, (_, frame) in enumerate(late)] + after[30:]
+    session = Session()
+    found = hear(session, given)
+    assert not restarts(found)
+    missing = len(samples(hear(Session(), heard))) - len(samples(found))
+    assert missing <= len(stalled) - len(late) + 5
+    assert session.sequence.lost <= len(stalled) + 5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("back", [0.4, 1.0, 1.8])
+def test_a_clock_that_was_really_set_back_is_found(kind, back):
+    """Its samples are others, and they come as time goes on."""
+    heard, other = flight(kind, 2000), flight(kind, 2000, seed=2)
+    moved = heard[1500][0] - round(back * SECOND)
+    goes_on = [(at + heard[1500][0] - moved, frame) for at, frame in other if at >= moved]
+    session = Session()
+    found = hear(session, [*heard[:1500], *goes_on])
+    assert [one.goes_on for one in restarts(found)] == [True]
+
+
+def test_a_stamp_of_zero_is_no_time_and_proves_nothing():
+    session, sender = Session(), Sender(1, 1)
+    hear(session, flight("HIGHRES_IMU", 600))
+    origin = sender.message("GPS_GLOBAL_ORIGIN", latitude=473977635, longitude=85455780)
+    for n in range(3):
+        session.receive(origin, (70 + n) * SECOND)
+    assert session.past.again == 0
+
+
+def test_the_frames_that_are_kept_are_bounded():
+    past, clock = PastFrames(), TimeBase()
+    session, kept = Session(), []
+    session.on_frame = kept.append
+    hear(session, flight("HIGHRES_IMU", 3 * KEPT))
+    for frame in kept:
+        past.keep(frame)
+    assert len(past._waiting) <= KEPT
+    clock.advance(BEGIN_US + 3 * KEPT * STEP_US)
+    assert not past.holds(kept[5], clock, 0)  # too long ago to be known
+    assert past.holds(kept[-200], clock, 0)
