@@ -41,6 +41,14 @@ from ekf_companion.version import __version__
 
 if TYPE_CHECKING:
     from ekf_companion.filters.own_aid import OwnAid
+    from ekf_companion.replay.array_types import (
+        FilterName,
+        Fixes,
+        Headings,
+        Heights,
+        MagneticField,
+        Units,
+    )
     from ekf_companion.replay.arrays import estimate
     from ekf_companion.replay.convert import read as open_log
     from ekf_companion.replay.estimates import Estimates
@@ -49,9 +57,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Estimates",
+    "FilterName",
+    "Fixes",
+    "Headings",
+    "Heights",
+    "MagneticField",
     "OwnAid",
     "Stream",
     "StreamEstimate",
+    "Units",
     "__version__",
     "estimate",
     "open_log",
@@ -59,9 +73,15 @@ __all__ = [
 ]
 _PLACES = {
     "Estimates": ("replay.estimates", "Estimates"),
+    "FilterName": ("replay.array_types", "FilterName"),
+    "Fixes": ("replay.array_types", "Fixes"),
+    "Headings": ("replay.array_types", "Headings"),
+    "Heights": ("replay.array_types", "Heights"),
+    "MagneticField": ("replay.array_types", "MagneticField"),
     "OwnAid": ("filters.own_aid", "OwnAid"),
     "Stream": ("replay.stream", "Stream"),
     "StreamEstimate": ("replay.stream", "StreamEstimate"),
+    "Units": ("replay.array_types", "Units"),
     "estimate": ("replay.arrays", "estimate"),
     "open_log": ("replay.convert", "read"),
     "run_filter": ("replay.filters_by_name", "run_filter"),

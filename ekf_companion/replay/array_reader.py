@@ -12,6 +12,7 @@ from ekf_companion.errors import ConfigError, DataError
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.replay import plausibility
+from ekf_companion.replay.moments import LAST_NS, are_dates, since_1970
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
@@ -20,8 +21,6 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
 }
 """Units that may be named, and their size in ns, rad/s, m/s^2 and gauss."""
-LAST_NS = 9e18
-"""Time that 64 bits hold, ns: the year 2255."""
 MARGIN_NS = 2_000_000_000
 """Time before and behind the inertial samples in which other rows may count, ns."""
 
@@ -30,7 +29,7 @@ class Reader:
     """Reads what the user gives into arrays of the right shape and unit, or says what is wrong."""
 
     def __init__(
-        self, given: Mapping[str, str] | None, check: bool, delay: float | Literal["auto"] = "auto"
+        self, given: Mapping[str, Any] | None, check: bool, delay: float | Literal["auto"] = "auto"
     ) -> None:
         if given is not None and not isinstance(given, Mapping):
             raise ConfigError(f"units: {given!r}: name the array too, as {{'gyro': 'deg/s'}}")
@@ -75,11 +74,13 @@ class Reader:
     ) -> Stamps:
         """Return stamps, ns: floats are s and integers ns, unless the unit is named.
 
-        ``datetime64`` is taken as it is: its stamps count from 1970.
+        Dates count from 1970 in UTC; those that name no zone are taken as they are.
         """
+        if np.ma.isMaskedArray(given) and np.ma.getmaskarray(given).any():
+            raise DataError(f"{name}: holds masked rows; leave such rows out")
         values = np.asarray(given)
-        if values.dtype.kind == "M":
-            return self.times(name, _since_1970(name, values), is_inertial=is_inertial, unit="ns")
+        if are_dates(values) and values.ndim == 1:
+            return self.times(name, since_1970(name, values), is_inertial=is_inertial, unit="ns")
         if values.ndim != 1 or not len(values) or values.dtype.kind not in "iuf":
             raise DataError(
                 f"{name}: must be numbers or datetime64 in one row, shape (n,), not "
@@ -104,7 +105,7 @@ class Reader:
 
     def array(self, name: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
         """Return an array in SI; of sigmas a number stands for all rows."""
-        values = np.asarray(given, dtype=np.float64)
+        values = _numbers(name, given)
         if values.ndim == 0 and ".std" in name:
             values = np.full(shape, float(values))
         elif values.ndim == 0:
@@ -164,12 +165,23 @@ def _shape(values: npt.NDArray[Any]) -> str:
     return f"{values.shape}" + ("" if values.dtype.kind in "iuf" else f" of {values.dtype}")
 
 
-def _since_1970(name: str, values: npt.NDArray[Any]) -> Stamps:
-    """Return ``datetime64`` as ns.
+def _numbers(name: str, given: Any) -> Array:
+    """Return what was given as floats; what is masked, null or NA is NaN.
 
     Raises:
-        DataError: One is NaT.
+        DataError: It holds something else than numbers.
     """
-    if np.isnat(values).any():
-        raise DataError(f"{name}: holds NaT; leave such rows out")
-    return values.astype("datetime64[ns]").astype(np.int64)
+    if np.ma.isMaskedArray(given):
+        return np.ma.filled(given.astype(np.float64), np.nan)
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        pass
+    try:
+        # pandas writes NA where a value lacks
+        return np.asarray(given.to_numpy(dtype=np.float64, na_value=np.nan))
+    except (AttributeError, TypeError, ValueError):
+        kind = type(given).__name__
+        raise DataError(
+            f"{name}: holds something else than numbers, or rows of different lengths ({kind})"
+        ) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,9 +27,19 @@ from ekf_companion.nav.state import join
 from ekf_companion.replay import account, plausibility
 from ekf_companion.replay.agreement import contradictions
 from ekf_companion.replay.array_reader import UNITS, Reader
+from ekf_companion.replay.array_types import (
+    Columns,
+    FilterName,
+    Fixes,
+    Headings,
+    Heights,
+    MagneticField,
+    Units,
+)
 from ekf_companion.replay.estimates import Estimates
 from ekf_companion.replay.filters_by_name import Run, counts_of, late_fixes, run_filter
 from ekf_companion.replay.fix_agreement import suspicion
+from ekf_companion.replay.moments import Moment
 from ekf_companion.replay.smoothing import Smoothing
 from ekf_companion.replay.time_agreement import clock_disagreement
 
@@ -44,21 +55,21 @@ def estimate(
     gyro: npt.ArrayLike,
     accel: npt.ArrayLike,
     *,
-    gnss: Mapping[str, npt.ArrayLike] | None = None,
-    heading: Mapping[str, npt.ArrayLike] | None = None,
-    mag: Mapping[str, npt.ArrayLike] | None = None,
-    baro: Mapping[str, npt.ArrayLike] | None = None,
-    filter: str | Run = "eskf",
+    gnss: Fixes | Columns | None = None,
+    heading: Headings | Columns | None = None,
+    mag: MagneticField | Columns | None = None,
+    baro: Heights | Columns | None = None,
+    filter: FilterName | Run = "eskf",
     smooth: bool = False,
     settings: FilterSettings | None = None,
-    aids: Sequence[tuple[int, Observation]] = (),
-    units: Mapping[str, str] | None = None,
+    aids: Sequence[tuple[Moment, Observation]] = (),
+    units: Units | None = None,
     check: bool = True,
 ) -> Estimates:
     """Estimate a trajectory from arrays of measurements.
 
     Axes are the vehicle's: forward, right, down. All times are of one clock: floats in s, integers
-    in ns, or in the unit that ``units`` names; or ``datetime64``.
+    in ns, or in the unit that ``units`` names; or ``datetime64`` or ``datetime``, of any zone.
 
     Args:
         time: Of the inertial samples, shape (n,).
@@ -76,8 +87,8 @@ def estimate(
             ``zupt``, with an option as in ``iterated:robocentric``; or a function of your own.
         smooth: Whether each estimate also uses what came later (``eskf`` only).
         settings: Noise, gates, lever arm and so on; None: the defaults.
-        aids: Measurements of your own, with their times, ns: see
-            :class:`~ekf_companion.filters.own_aid.OwnAid`.
+        aids: Measurements of your own, with their times (floats in s, integers in ns, or dates):
+            see :class:`~ekf_companion.filters.own_aid.OwnAid`.
         units: Units of ``time``, ``gyro``, ``accel`` and ``mag`` that are not the ones above, of
             :data:`~.array_reader.UNITS`: ``{"gyro": "deg/s", "accel": "g", "time": "us"}``.
         check: Whether to refuse what cannot be meant: other units, axes or signs, north and east
@@ -120,6 +131,11 @@ def estimate(
             f"{filter}: takes no fixes, so positions and velocities of gnss were not used; "
             f"{', '.join(NAVIGATING)} do"
         )
+    if len(table) != (rows := len(np.atleast_1d(time))):
+        read.notes.append(
+            f"the trajectory has {len(table)} rows for {rows} times: take them together by "
+            "track.time, not by row"
+        )
     said = account.sentences(table, events, counts, has_position=has_position)
     return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
 
@@ -140,11 +156,11 @@ def to_events(
     gyro: npt.ArrayLike,
     accel: npt.ArrayLike,
     *,
-    gnss: Mapping[str, npt.ArrayLike] | None = None,
-    heading: Mapping[str, npt.ArrayLike] | None = None,
-    mag: Mapping[str, npt.ArrayLike] | None = None,
-    baro: Mapping[str, npt.ArrayLike] | None = None,
-    units: Mapping[str, str] | None = None,
+    gnss: Fixes | Columns | None = None,
+    heading: Headings | Columns | None = None,
+    mag: MagneticField | Columns | None = None,
+    baro: Heights | Columns | None = None,
+    units: Units | None = None,
     check: bool = True,
 ) -> Events:
     """Return arrays as the events of a recording; arguments and errors as for :func:`estimate`."""
@@ -157,7 +173,7 @@ def _read(
     time: npt.ArrayLike,
     gyro: npt.ArrayLike,
     accel: npt.ArrayLike,
-    **sensors: Mapping[str, npt.ArrayLike] | None,
+    **sensors: Mapping[str, Any] | None,
 ) -> Events:
     """Return arrays as events; ``read`` holds the notes on them."""
     t_ns = read.times("time", time, is_inertial=True)
@@ -184,7 +200,7 @@ def _read(
     return merge(*tables.values(), imu)
 
 
-def _gnss(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _gnss(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     t_ns = read.columns("gnss", given, _GNSS, imu_ns)
     unit = "deg" if "lat_deg" in given else "rad"
     for needed in (f"lat_{unit}", f"lon_{unit}", "alt"):
@@ -220,7 +236,7 @@ def _gnss(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> E
     )
 
 
-def _heading(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _heading(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     t_ns = read.columns("heading", given, ("heading", "std"), imu_ns)
     angle = read.array("heading.heading", given["heading"], (len(t_ns),))
     if read.check and np.nanmax(np.abs(angle)) > 2.0 * np.pi + 1e-6:
@@ -230,7 +246,7 @@ def _heading(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -
     return Events.from_columns(t_ns, Kind.HEADING, so3.wrap(angle), std, source)
 
 
-def _mag(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _mag(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     t_ns = read.columns("mag", given, ("field",), imu_ns)
     field = read.array("mag.field", given["field"], (len(t_ns), 3))
     size = float(np.nanmedian(np.linalg.norm(field, axis=1)))
@@ -242,7 +258,7 @@ def _mag(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Ev
     return Events.from_columns(t_ns, Kind.MAG, *field.T)
 
 
-def _baro(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _baro(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     t_ns = read.columns("baro", given, ("alt", "pressure"), imu_ns)
     if "pressure" in given:
         pressure = read.array("baro.pressure", given["pressure"], (len(t_ns),))

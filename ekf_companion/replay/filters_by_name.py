@@ -27,11 +27,14 @@ from ekf_companion.filters.zupt_detector import Detector
 from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Status, join
+from ekf_companion.replay.moments import Moment
+from ekf_companion.replay.own_checks import check_solution, checked_aids
 
 if TYPE_CHECKING:
     from ekf_companion.filters.ahrs_article import Preset
     from ekf_companion.filters.observation import Observation
     from ekf_companion.filters.sequence import MeasurementSequence
+    from ekf_companion.replay.array_types import FilterName
 
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
@@ -59,10 +62,10 @@ class Filter(NamedTuple):
 
 def run_filter(
     recording: Recording,
-    name: str | Run = "eskf",
+    name: FilterName | str | Run = "eskf",
     settings: FilterSettings | None = None,
     *,
-    aids: Sequence[tuple[int, Observation]] = (),
+    aids: Sequence[tuple[Moment, Observation]] = (),
 ) -> Solution:
     """Run a filter over a recording.
 
@@ -72,12 +75,15 @@ def run_filter(
             recording, settings and option (empty).
         settings: The estimator's, or a whole configuration; None: the defaults.
         aids: Measurements of your own for ``euler``, ``iterated`` and ``ukf``, with the times at
-            which they were true, ns: see :class:`~ekf_companion.filters.own_aid.OwnAid`.
+            which they were true (floats in s, integers in ns, or dates): see
+            :class:`~ekf_companion.filters.own_aid.OwnAid`.
 
     Raises:
         ConfigError: There is no filter, or no option, of that name, or it takes no aids.
+        DataError: Your filter, an aid of yours or its time cannot be meant.
         LogError: The recording lacks what the filter needs.
     """
+    said: tuple[str, ...] = ()
     if callable(name):
         label, option, run = getattr(name, "__name__", "own filter"), "", name
     else:
@@ -87,7 +93,8 @@ def run_filter(
         over = None if callable(name) else _OVER.get(label.partition(":")[0])
         if over is None:
             raise ConfigError(f"{label}: takes no aids of your own; {', '.join(_OVER)} do")
-        run = partial(_run_with, over, aids)
+        own, said = checked_aids(aids, recording.events.t_ns[[0, -1]])
+        run = partial(_run_with, over, own)
     # A filter cannot follow a clock that restarts
     events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
@@ -97,7 +104,9 @@ def run_filter(
     # On matrices of 15 rows the threads of a BLAS only wait for each other
     with threadpool_limits(1, "blas"):
         found = run(recording, settings or FilterSettings(), option)
-    return replace(found, name=label, notes=(*found.notes, *notes))
+    if callable(name):
+        check_solution(label, found)
+    return replace(found, name=label, notes=(*found.notes, *notes, *said))
 
 
 def parse_name(name: str) -> tuple[str, str]:

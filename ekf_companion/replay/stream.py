@@ -35,6 +35,7 @@ from ekf_companion.nav.state import (
 )
 from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
 from ekf_companion.replay.estimates import Origin
+from ekf_companion.replay.moments import Moment, stamp_ns
 from ekf_companion.replay.plausibility import Remedies, check_inertial, check_known, check_rate
 
 CHECKED = 200
@@ -88,8 +89,8 @@ class StreamEstimate(NamedTuple):
 class Stream:
     """The daemon's estimator, fed by hand; measurements may come late by up to 2 s.
 
-    Times are of one clock: floats in s, whole numbers in ns; other units are refused. Axes are the
-    vehicle's: forward, right, down. Example::
+    Times are of one clock: floats in s, whole numbers in ns, or dates; other units are refused.
+    Axes are the vehicle's: forward, right, down. Example::
 
         stream = Stream()
         stream.gnss(0.2, lat_deg=47.4, lon_deg=8.5, alt=488.0, vel_n=(0.0, 0.0, 0.0))
@@ -118,7 +119,7 @@ class Stream:
         lat, lon, alt = found
         return Origin(float(np.rad2deg(lat)), float(np.rad2deg(lon)), alt)
 
-    def imu(self, t: float, gyro: npt.ArrayLike, accel: npt.ArrayLike) -> StreamEstimate | None:
+    def imu(self, t: Moment, gyro: npt.ArrayLike, accel: npt.ArrayLike) -> StreamEstimate | None:
         """Take an inertial sample, rad/s and m/s^2; return the estimate if it is the newest.
 
         None: it is not, or holds NaN or what no sensor measures: :attr:`dropped` counts these.
@@ -127,7 +128,10 @@ class Stream:
             DataError: The first samples cannot be meant: another unit, sign, other axes, or times
                 in another unit or on another clock than the other measurements'.
         """
-        t_ns, numbers = _ns(t), np.concatenate([_row("gyro", gyro), _row("accel", accel)])
+        t_ns, numbers = (
+            stamp_ns("time", t),
+            np.concatenate([_row("gyro", gyro), _row("accel", accel)]),
+        )
         self._newest_ns = t_ns
         self._samples += 1
         if self._first is not None:
@@ -155,7 +159,7 @@ class Stream:
 
     def gnss(
         self,
-        t: float,
+        t: Moment,
         *,
         lat_deg: float,
         lon_deg: float,
@@ -185,7 +189,7 @@ class Stream:
         )
         self.pipeline.process(fix)
 
-    def heading(self, t: float, heading: float, std: float = 0.05) -> None:
+    def heading(self, t: Moment, heading: float, std: float = 0.05) -> None:
         """Take a heading from true north, clockwise, and its sigma, rad."""
         if abs(heading) > 2.0 * np.pi + 1e-6:
             raise DataError(f"heading: {heading} is no angle in rad; give np.deg2rad(heading)")
@@ -193,12 +197,12 @@ class Stream:
         t_ns = self._time("heading", t)
         self.pipeline.process(HeadingSample(t_ns=t_ns, heading=angle, std=std, source=source))
 
-    def mag(self, t: float, field: npt.ArrayLike) -> None:
+    def mag(self, t: Moment, field: npt.ArrayLike) -> None:
         """Take a magnetic field, gauss."""
         x, y, z = _row("field", field).tolist()
         self.pipeline.process(MagSample(t_ns=self._time("mag", t), mag_x=x, mag_y=y, mag_z=z))
 
-    def baro(self, t: float, alt: float) -> None:
+    def baro(self, t: Moment, alt: float) -> None:
         """Take a barometric height, m; its zero need not be known."""
         self.pipeline.process(BaroSample(t_ns=self._time("baro", t), alt=alt))
 
@@ -209,7 +213,7 @@ class Stream:
         if len(self._first) not in (TIMES_CHECKED, CHECKED):
             return
         stamps, rows = zip(*self._first, strict=True)
-        taken = "ns" if issubclass(kind, (int, np.integer)) else "s"
+        taken = "s" if issubclass(kind, (float, np.floating)) else "ns"
         if len(self._first) == TIMES_CHECKED:
             for name, early_ns in self._early.items():
                 if t_ns - early_ns > FARTHEST_NS:
@@ -224,9 +228,9 @@ class Stream:
                 values[:, :3], values[:, 3:], np.array(stamps, dtype=np.int64), _OF_STREAM
             )
 
-    def _time(self, name: str, t: float) -> int:
+    def _time(self, name: str, t: Moment) -> int:
         """Return a stamp, ns; compare the first ones of each kind with the inertial samples'."""
-        t_ns = _ns(t)
+        t_ns = stamp_ns("time", t)
         if not self._is_checked:
             return t_ns
         if self._samples < TIMES_CHECKED:
@@ -245,15 +249,8 @@ class Stream:
         )
 
 
-def _ns(t: float) -> int:
-    t_ns = t if isinstance(t, (int, np.integer)) else float(t) * 1e9
-    if not abs(t_ns) < 9e18:
-        raise DataError(f"time: {t} is beyond every clock; {TIMES}: divide ms, us, ns")
-    return round(t_ns)
-
-
 def _row(name: str, given: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    values = np.asarray(given, dtype=np.float64)
+    values = np.ma.filled(np.ma.asarray(given, dtype=np.float64), np.nan)
     if values.shape != (3,):
         raise DataError(f"{name}: must be three numbers, not of the shape {values.shape}")
     return values

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ekf_companion import estimate
+from tests.notebook import run_all
 from tests.paths import ROOT
 from tests.replay.test_arrays import Flown
 
@@ -21,7 +22,12 @@ def blocks(name):
 def given():
     """Return the names that the examples use for the user's own arrays."""
     flown = Flown()
-    heights = -np.zeros(5)
+    moments = flown.time[::25]
+    above = flown.truth.alt - flown.truth.alt.min() + 1.5
+    heights = np.interp(moments, flown.truth.pos_t_ns * 1e-9, above)
+    # A receiver of 1 m, of which the first fix is one of the worst
+    noise = np.random.default_rng(7).standard_normal(len(flown.gnss["alt"]))
+    noise[0] = 2.5
     return {
         "t": flown.time,
         "gyro": flown.gyro,
@@ -29,7 +35,7 @@ def given():
         "t_fix": flown.gnss["time"],
         "lat": flown.gnss["lat_deg"],
         "lon": flown.gnss["lon_deg"],
-        "alt": flown.gnss["alt"],
+        "alt": flown.gnss["alt"] + noise,
         "velocity": flown.gnss["vel_n"],
         "t_mag": flown.mag["time"],
         "field": flown.mag["field"],
@@ -38,10 +44,10 @@ def given():
         "true_lon": np.rad2deg(flown.truth.lon),
         "true_alt": flown.truth.alt,
         "mag": flown.mag,
-        "fixes": flown.gnss,
-        "ranges": list(
-            zip((flown.time[1000:1005] * 1e9).astype(int).tolist(), heights, strict=True)
-        ),
+        "fixes": {**flown.gnss, "alt": flown.gnss["alt"] + noise},
+        "t_range": moments,
+        "ranges": heights,
+        "lowest": flown.truth.alt.min() - 1.5,
         "estimate": estimate,
     }
 
@@ -61,22 +67,35 @@ def test_the_page_s_examples_run_in_their_order(given, tmp_path, monkeypatch, ca
     names = dict(given)
     for number, block in enumerate(blocks("docs/PYTHON.md")):
         exec(compile(block, f"docs/PYTHON.md, example {number}", "exec"), names)
+        if "Rangefinder" in block:
+            aided = names["track"]
     assert len(names["track"]) > 1000
     shown = [float(one) for one in capsys.readouterr().out.split("]")[0].strip("[ ").split()]
     assert 0.0 < max(shown) < 3.0
 
+    # The range finder is fused, and its height is its own
+    assert not any("range" in note for note in aided.notes)
+    late = aided.time > aided.time[-1] - 10.0
+    above = np.interp(aided.time, given["t_true"], given["true_alt"]) - given["lowest"]
+    assert np.std((aided.alt - given["lowest"] - above)[late]) < 0.1
+    assert abs(np.mean((aided.alt - given["lowest"] - above)[late])) < 0.5
+
 
 @pytest.mark.campaign
-def test_the_notebook_runs(tmp_path, monkeypatch, capsys):
+def test_the_notebook_runs_and_shows_what_it_did(tmp_path, monkeypatch):
     pytest.importorskip("pandas")
     mpl.use("agg")
     monkeypatch.chdir(tmp_path)
     notebook = json.loads((ROOT / "docs" / "python.ipynb").read_text(encoding="utf-8"))
-    names = {}
-    for cell in notebook["cells"]:
-        if cell["cell_type"] == "code":
-            assert cell["outputs"] == []
-            exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
-    assert "it looks like deg/s" in capsys.readouterr().out
+    committed = [cell.get("outputs") for cell in notebook["cells"]]
+    names = run_all(notebook)
+    made = [cell.get("outputs") for cell in notebook["cells"]]
     assert (tmp_path / "flight.tum").exists()
     assert names["aided"].sigma[-1, 2] < 0.2
+
+    # It is committed with what it prints and draws: python -m tests.notebook
+    kinds = [[sorted(one.get("data", {"text": 0})) for one in cell or ()] for cell in committed]
+    assert kinds == [[sorted(one.get("data", {"text": 0})) for one in cell or ()] for cell in made]
+    assert [["image/png"]] in kinds
+    assert "it looks like deg/s" in "".join(committed[8][0]["text"])
+    assert committed[8] == made[8]
