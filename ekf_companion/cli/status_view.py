@@ -125,7 +125,7 @@ def _output(output: Data) -> str:
     streams = f"streams at {output['rate']:.1f} Hz" if output["is_streaming"] else "is not sent"
     text = f"ODOMETRY {streams}"
     text += f": {output['silence']}" if output["silence"] else ""
-    losses = {"withheld": output["withheld"], "thrown away by the link": output["unsent"]}
+    losses = {"withheld": output["withheld"], "thrown away": output["unsent"]}
     losses |= {"texts dropped": output["texts_dropped"]}
     return _with_losses(f"{text}, sent {_counts(output['sent']) or 'nothing'}", losses)
 

@@ -314,6 +314,7 @@ class Daemon:
         for data, is_replaceable, t_ns in companion.frames_to_send():
             if is_replaceable and t_ns is not None and not self._is_fresh(t_ns, now_ns):
                 self.link.unsent += 1  # it waited to be read
+                self._observer.on_stale()
             else:
                 self.link.send(data, is_replaceable=is_replaceable)
         if self._monitors.links:

@@ -15,7 +15,7 @@ import msgspec
 
 from ekf_companion.nav.state import Status
 from ekf_companion.status.lacking import lacking
-from ekf_companion.status.snapshot import LinkState, OutputState, Snapshot
+from ekf_companion.status.snapshot import LinkState, Snapshot
 
 BARREN_S = 3.0
 """Samples for so long without an estimate: the filter is stuck, and only a restart helps."""
@@ -72,7 +72,7 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     word = health.status.words
     line = "ok: the estimate is OK, " if health.status is Status.OK else f"{word}: "
     line += "".join(f"{words}, " for words in health.reasons.values())
-    line += f"{snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output, snapshot.link)}"
+    line += f"{snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot)}"
     in_vain = [
         f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"
         for name, message in snapshot.messages.items()
@@ -89,7 +89,8 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     return HealthCheck(True, "; ".join([*apart, line, *in_vain, *recording]), is_ok=not apart)
 
 
-def _odometry(output: OutputState, link: LinkState) -> str:
+def _odometry(snapshot: Snapshot) -> str:
+    output = snapshot.output
     if output.is_allowed:
         line = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
         if output.every > 1 and output.is_streaming:
@@ -100,15 +101,31 @@ def _odometry(output: OutputState, link: LinkState) -> str:
             line += f", {output.advice}"
         if output.second_source:
             line += f"; {output.second_source} too"
-        if output.unsent_rate < MANY_UNSENT:
-            return line
-        remedy = "lower output.odometry.rate"
-        if _is_serial(link):
-            remedy = f"check RTS and CTS, raise the rate of the line or {remedy}"
-        unsent = f"{output.unsent_rate:.0f} Hz thrown away"
-        return f"{line}, {unsent} as the link takes no more: {remedy}"
+        return line + _thrown_away(snapshot)
     remedy = f"; {output.remedy}" if output.remedy else ""
     return f"ODOMETRY withheld: {output.reason}{remedy}"
+
+
+def _thrown_away(snapshot: Snapshot) -> str:
+    """Return how many ODOMETRY do not go out, and who holds them up; empty: none or few."""
+    output, text = snapshot.output, ""
+    if output.unsent_rate >= MANY_UNSENT:
+        remedy = "lower output.odometry.rate"
+        if _is_serial(snapshot.link):
+            remedy = f"check RTS and CTS, raise the rate of the line or {remedy}"
+        unsent = f"{output.unsent_rate:.0f} Hz thrown away"
+        text += f", {unsent} as the link takes no more: {remedy}"
+    if output.held_rate >= MANY_UNSENT:
+        text += (
+            f", {output.held_rate:.0f} Hz thrown away as this board let the daemon wait for "
+            f"{snapshot.process.loop_lag_ms * 1e-3:.1f} s: see what else takes its processor (top)"
+        )
+    if output.late_rate >= MANY_UNSENT:
+        text += (
+            f", {output.late_rate:.0f} Hz thrown away as the samples came too late: check the "
+            "radio or the network on the way from the autopilot"
+        )
+    return text
 
 
 def missing_input(snapshot: Snapshot) -> str:

@@ -11,11 +11,9 @@ import logging
 import math
 import os
 import time
-from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import accumulate
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
@@ -37,7 +35,9 @@ from ekf_companion.status.collect import (
 )
 from ekf_companion.status.host import Host
 from ekf_companion.status.judge import BARREN_S, judge
+from ekf_companion.status.latency import Latency
 from ekf_companion.status.live import live
+from ekf_companion.status.losses import Mark, apportion
 from ekf_companion.status.past import Past
 from ekf_companion.status.preflight import UNJUDGED, check
 from ekf_companion.status.snapshot import (
@@ -48,33 +48,6 @@ from ekf_companion.status.snapshot import (
     Snapshot,
 )
 from ekf_companion.version import __version__
-
-BUCKETS_MS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-"""Bounds of the latency's histogram, ms."""
-
-
-class Latency:
-    """Histogram of the time from a read to when the link has taken the estimate."""
-
-    def __init__(self) -> None:
-        self._bounds_ns = [round(bound * 1e6) for bound in BUCKETS_MS]
-        self._counts = [0] * (len(BUCKETS_MS) + 1)
-        self.sum_ns = 0
-
-    def add(self, took_ns: int, times: int = 1) -> None:
-        """Count estimates that were sent so long after their sample was read."""
-        self._counts[bisect_left(self._bounds_ns, took_ns)] += times
-        self.sum_ns += took_ns * times
-
-    @property
-    def count(self) -> int:
-        """Return how many were counted."""
-        return sum(self._counts)
-
-    def cumulative(self) -> dict[float, int]:
-        """Return how many took no longer than each bound, ms."""
-        return dict(zip(BUCKETS_MS, accumulate(self._counts), strict=False))
-
 
 SPAN = 20
 """Seconds of the mean: a hundred fixes at 5 Hz give it a sigma of 0.1."""
@@ -164,10 +137,8 @@ class _Counters:
     received: Mapping[str, int]
     odometries: int
     """ODOMETRY messages that the link took."""
-    unsent: int
-    """ODOMETRY messages that the link threw away."""
-    lag_ns: int
-    """The longest wait since the copy before."""
+    losses: Mark
+    """ODOMETRY messages that did not go out, and the longest wait since the copy before."""
 
     def rate(self, count: float, first: _Counters) -> float:
         """Return a count since then as a rate, Hz; 0 if no time has passed."""
@@ -200,7 +171,7 @@ class Observer:
         self._link, self._companion = link, companion
         self._clock, self._recorded, self._unheard = clock, recorded, unheard
         self._nis, self._progress, self._aids = RecentNis(), Progress(), AidWatch()
-        self._odometries = self._new_odometries = 0
+        self._odometries = self._new_odometries = self._stale = 0
         self._longest_ns = 0
         self._begin_ns = self._tick_ns = clock()
         self._next_ns = 0
@@ -240,6 +211,10 @@ class Observer:
         else:
             self._new_odometries += 1
 
+    def on_stale(self) -> None:
+        """Note that an ODOMETRY was too old when it could be sent."""
+        self._stale += 1
+
     @property
     def is_barren(self) -> bool:
         """Whether the filter takes samples and makes no estimates: only a restart helps."""
@@ -257,10 +232,13 @@ class Observer:
             cpu_s=time.process_time(),
             received={LAYOUTS[number].name: count for number, count in session.received.items()},
             odometries=self._odometries,
-            unsent=session.outbox.sent.get(_ODOMETRY, 0)
-            - self._odometries
-            - self._link.backlog.replaceable,
-            lag_ns=self._longest_ns,
+            losses=Mark(
+                session.outbox.sent.get(_ODOMETRY, 0)
+                - self._odometries
+                - self._link.backlog.replaceable,
+                self._stale,
+                self._longest_ns,
+            ),
         )
 
     def _keep_counters(self, now_ns: int) -> None:
@@ -376,11 +354,14 @@ class Observer:
         session, unheard = companion.session, self._unheard()
         state = output_state(session, new, rate, unheard, companion.silence, now.now_ns)
         taken = {_ODOMETRY: now.odometries} if _ODOMETRY in state.sent else {}
+        lost = apportion([one.losses for one in (*self._history, now)])
         return replace(
             state,
             sent={**state.sent, **taken},
-            unsent=now.unsent,
-            unsent_rate=now.rate(now.unsent - first.unsent, first),
+            unsent=now.losses.unsent,
+            unsent_rate=now.rate(lost.link, first),
+            held_rate=now.rate(lost.board, first),
+            late_rate=now.rate(lost.late, first),
         )
 
     def _process(self, host: Host, now: _Counters, first: _Counters) -> ProcessState:
@@ -391,7 +372,7 @@ class Observer:
             uptime_s=(now.now_ns - self._begin_ns) * 1e-9,
             cpu_share=now.rate(now.cpu_s - first.cpu_s, first),
             rss_mb=host.rss_mb,
-            loop_lag_ms=max(one.lag_ns for one in (now, *self._history)) * 1e-6,
+            loop_lag_ms=max(one.losses.lag_ns for one in (now, *self._history)) * 1e-6,
             latency=self.latency.cumulative(),
             latency_sum_ms=self.latency.sum_ns * 1e-6,
             latency_count=self.latency.count,

@@ -244,7 +244,11 @@ class OutputState:
         int, counter("odometry_unsent", "Found no link, too slow a one, or was too old.")
     ] = 0
     unsent_rate: float = 0.0
-    """Of these over the last seconds, Hz."""
+    """Of these over the last seconds, Hz: such as the link had no room for."""
+    held_rate: float = 0.0
+    """Hz of them that this board held up, as its loop did not go round."""
+    late_rate: float = 0.0
+    """Hz of them whose samples had come too late, while the loop ran."""
     withheld: Annotated[
         int, counter("odometry_withheld", "Not sent by the guard, or as the line carries fewer.")
     ]

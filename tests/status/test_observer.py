@@ -21,7 +21,8 @@ from ekf_companion.nav.state import Status
 from ekf_companion.status import past
 from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.judge import judge, to_json
-from ekf_companion.status.observer import BUCKETS_MS, Latency, Observer
+from ekf_companion.status.latency import BUCKETS_MS, Latency
+from ekf_companion.status.observer import Observer
 from ekf_companion.status.snapshot import ReloadState
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
