@@ -6,7 +6,8 @@ CompanionError
 ├── LinkError     a URL that names no link, or a link that cannot be opened at all
 ├── LogError      a recorded file that cannot be read, or holds nothing to estimate from
 │   └── FilterError  a filter whose mathematics end before the recording does
-└── MissingPackageError  a package that an extra brings is not installed
+├── MissingPackageError  a package that an extra brings is not installed
+└── NotCompiledError  the sources are not compiled, and nothing runs them (an ImportError)
 
 Each message says what, where, and what would do. Bad data is not an error: it is counted.
 """
@@ -16,6 +17,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 
 
 class CompanionError(Exception):
@@ -44,6 +47,33 @@ class FilterError(LogError):
 
 class MissingPackageError(CompanionError):
     """A package that an extra of ours brings is not installed."""
+
+
+class NotCompiledError(CompanionError, ImportError):
+    """The package's sources are neither compiled nor can they be interpreted."""
+
+
+def is_compiled(module: str) -> bool:
+    """Return whether a module that belongs compiled is; if not, it must be possible to interpret.
+
+    Raises:
+        NotCompiledError: It is a source, and Cython, which would interpret it, is not there.
+    """
+    spec = find_spec(module)
+    if spec is None or not (spec.origin or "").endswith(".py"):
+        return True
+    if find_spec("cython") is None:
+        raise NotCompiledError(f"{how_to_compile()}, and without Cython it does not run")
+    return False
+
+
+def how_to_compile() -> str:
+    """Return what to do in a folder of sources that are not compiled."""
+    root = Path(__file__).resolve().parents[1]
+    return (
+        f"ekf_companion in {root} is not compiled for {sys.executable}: run `make setup` in that "
+        "folder and use its .venv/bin/python, or install it with pip"
+    )
 
 
 def remedy(extra: str) -> str:

@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperGroup
 
 from ekf_companion.cli.command import Command
-from ekf_companion.errors import MissingPackageError
+from ekf_companion.errors import MissingPackageError, NotCompiledError
 from ekf_companion.version import __version__
 
 
@@ -155,10 +155,10 @@ class _Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; print a sentence where a package that it imports is not installed."""
+        """Run the command; print a sentence where what it imports is not installed or compiled."""
         try:
             return super().invoke(ctx)
-        except MissingPackageError as error:
+        except (MissingPackageError, NotCompiledError) as error:
             typer.echo(f"ekf-companion: {error}", err=True)
             raise typer.Exit(1) from error
 

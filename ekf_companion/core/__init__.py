@@ -6,10 +6,12 @@ takes one step: ``propagate``, then each event by its aid (``gnss``, ``heading``
 MAVLink.
 """
 
-from importlib.util import find_spec
+import warnings
 
-_kernel = find_spec("ekf_companion.core.kernel")
-if _kernel is not None and (_kernel.origin or "").endswith(".py"):
+from ekf_companion.errors import how_to_compile, is_compiled
+
+if not is_compiled("ekf_companion.core.kernel"):
     from ekf_companion.core import uncompiled
 
+    warnings.warn(f"{how_to_compile()}; interpreted, it is some hundred times slower", stacklevel=2)
     uncompiled.install()

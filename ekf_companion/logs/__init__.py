@@ -2,3 +2,7 @@
 
 What looks at every byte is compiled ahead of time, like the kernel: the files named ``*_search``.
 """
+
+from ekf_companion.errors import is_compiled
+
+is_compiled("ekf_companion.logs.tlog_search")

@@ -26,3 +26,7 @@ second_source  others who send the autopilot poses
 
 Modules with a .pxd beside them are compiled; the same files run as plain Python.
 """
+
+from ekf_companion.errors import is_compiled
+
+is_compiled("ekf_companion.mavlink.datagram")
