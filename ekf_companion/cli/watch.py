@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import select
 import signal
 import sys
@@ -24,8 +25,10 @@ _KEYS = {
     b"\x1b[6~": _PAGE_DOWN,
     b" ": _PAGE_DOWN,
     b"\x1b[H": _FIRST,
+    b"\x1b[1~": _FIRST,
     b"g": _FIRST,
     b"\x1b[F": _LAST,
+    b"\x1b[4~": _LAST,
     b"G": _LAST,
 }
 """What terminals send, and the letters of ``less``."""
@@ -33,6 +36,39 @@ _KEYS = {
 
 _INTERRUPT, _OTHER_SIGNAL = b"\x03", b"\x00"
 """What stands for Ctrl-C, and for a signal that only redraws, such as another size."""
+_KEY = re.compile(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1bO.|\x1b(?!\[|O|$)|[^\x1b]", re.DOTALL)
+"""A key as a terminal sends it: a sequence of ECMA-48, or a byte."""
+_BEGUN = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*|O)?")
+"""The begin of a sequence."""
+_LONGEST = 32
+"""Bytes of a sequence; no key sends more."""
+
+
+class Keys:
+    """Finds keys in what a terminal sends: several may come together, and one in two parts."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the keys that are complete, in order."""
+        data, self._rest = self._rest + data, b""
+        found, place = [], 0
+        while place < len(data):
+            if (key := _KEY.match(data, place)) is None:
+                if _BEGUN.fullmatch(data, place) and len(data) - place < _LONGEST:
+                    self._rest = data[place:]
+                    break
+                place += 1
+                continue
+            found.append(_as_cursor(key[0]))
+            place = key.end()
+        return found
+
+
+def _as_cursor(key: bytes) -> bytes:
+    """Return a key of the application mode (ESC O A) as it comes without (ESC [ A)."""
+    return b"\x1b[" + key[2:] if key[:2] == b"\x1bO" else key
 
 
 class Window:
@@ -91,18 +127,19 @@ def watch(fetch: Callable[[], RenderableType], period: float) -> None:
             due_s = time.monotonic() + period
             live.refresh()
             while (left_s := due_s - time.monotonic()) > 0.0:
-                key = wait(left_s)
-                if key in (b"q", _INTERRUPT):
-                    return
-                if key:
+                keys = wait(left_s)
+                for key in keys:
+                    if key in (b"q", _INTERRUPT):
+                        return
                     window.scroll(key)
+                if keys:
                     live.refresh()
             window.show(fetch())
 
 
 @contextmanager
-def _keys() -> Iterator[Callable[[float], bytes]]:
-    """Yield a function that waits for a key, so many seconds at most; Ctrl-C is one too."""
+def _keys() -> Iterator[Callable[[float], list[bytes]]]:
+    """Yield a function that waits for keys, so many seconds at most; Ctrl-C is one too."""
     import termios
     import tty
 
@@ -119,11 +156,20 @@ def _keys() -> Iterator[Callable[[float], bytes]]:
         tty.setcbreak(terminal)
     sources = [reader] if terminal is None else [reader, terminal]
 
-    def wait(seconds: float) -> bytes:
+    keys = Keys()
+
+    def wait(seconds: float) -> list[bytes]:
         ready, _, _ = select.select(sources, [], [], seconds)
         if reader in ready:
-            return _INTERRUPT if signal.SIGINT in os.read(reader, 64) else _OTHER_SIGNAL
-        return os.read(terminal, 16) if terminal is not None and terminal in ready else b""
+            return [_INTERRUPT if signal.SIGINT in os.read(reader, 64) else _OTHER_SIGNAL]
+        if terminal is None or terminal not in ready:
+            return []
+        try:
+            data = os.read(terminal, 4096)
+        except OSError:
+            data = b""
+        # A terminal that is gone is ready for ever
+        return keys.feed(data) if data else [_INTERRUPT]
 
     try:
         yield wait
