@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from ekf_companion.doctor import content, estimate, feedback, opening, peer, rates, transport
 from ekf_companion.doctor.evidence import Evidence
-from ekf_companion.doctor.stage import Outcome, Stage, StageResult, unknown
+from ekf_companion.doctor.stage import NOT_REACHED, Outcome, Stage, StageResult, unknown
 
 _JUDGES: dict[Stage, Callable[[Evidence], StageResult]] = {
     Stage.LINK: opening.link,
@@ -31,7 +31,7 @@ def diagnose(evidence: Evidence) -> list[StageResult]:
     results: list[StageResult] = []
     is_hidden = False
     for stage, judge in _JUDGES.items():
-        results.append(unknown(stage, "not reached") if is_hidden else judge(evidence))
+        results.append(unknown(stage, NOT_REACHED) if is_hidden else judge(evidence))
         is_hidden |= stage in _GATES and results[-1].outcome is Outcome.FAILED
     return results
 

@@ -94,11 +94,11 @@ def _busy(opening: Opening) -> Problem:
         return failed(
             f"Our own daemon has {what}: {holder}.",
             "Ask it: `ekf-companion status`. To examine the link from here, "
-            f"`sudo {holder.stop}` first.",
+            f"`{holder.stop}` first.",
         )
     return failed(
         f"{holder} has {what}.",
-        f"Stop it{f' (`sudo systemctl stop {holder.unit}`)' if holder.unit else ''}, or let "
+        f"Stop it (`{holder.stop}`), or let "
         "mavlink-router have the port and give each program an endpoint of its own.",
     )
 

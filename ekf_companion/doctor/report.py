@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 
 from ekf_companion.doctor.diagnosis import first_failure
-from ekf_companion.doctor.stage import Outcome, Problem, Stage, StageResult
+from ekf_companion.doctor.stage import NOT_REACHED, Outcome, Problem, Stage, StageResult
 
 LABELS = {
     Outcome.OK: "ok",
@@ -21,11 +21,17 @@ Line = tuple[Outcome, str]
 
 
 def lines(results: Sequence[StageResult], width: int = 100) -> list[Line]:
-    """Return a line for each stage, the remedy of the first that fails, and the warnings."""
+    """Return a line for each stage reached, the remedy of the first that fails, and warnings."""
     out: list[Line] = []
+    hidden = [result.stage.value for result in results if result.saw == NOT_REACHED]
     for result in results:
+        if result.saw == NOT_REACHED:
+            continue
         head = f"{LABELS[result.outcome]:<9}{result.stage.value:<{_INDENT - 9}}"
         out += [(result.outcome, line) for line in _wrapped(head + result.saw, width, _INDENT)]
+    if hidden:
+        head = f"{LABELS[Outcome.UNKNOWN]:<9}{NOT_REACHED}: {', '.join(hidden)}"
+        out += [(Outcome.UNKNOWN, line) for line in _wrapped(head, width, _INDENT)]
     failure = first_failure(results)
     if failure is not None:
         out += _paragraph(failure, failure.problems[0], width)

@@ -25,6 +25,10 @@ class Stage(str, Enum):
     FUSED = "fused"
 
 
+NOT_REACHED = "not reached"
+"""What was seen at a stage that a failed one hides."""
+
+
 class Outcome(str, Enum):
     """How well a stage works."""
 

@@ -6,7 +6,6 @@ import contextlib
 import glob
 import grp
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +29,9 @@ class Holder:
     pid: int
     name: str
     unit: str = ""
-    """The systemd unit that it belongs to; empty if there is none."""
+    """The service of systemd that it belongs to; empty if there is none."""
+    is_users: bool = False
+    """Whether that service is one of a user's own systemd."""
     is_daemon: bool = False
     """Whether it is the daemon of this project."""
 
@@ -39,8 +40,12 @@ class Holder:
 
     @property
     def stop(self) -> str:
-        """The command that ends it."""
-        return f"systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
+        """The command that ends it; systemd would start again what was only killed."""
+        if not self.unit:
+            return f"kill {self.pid}"
+        if self.is_users:
+            return f"systemctl --user stop {self.unit}"
+        return f"sudo systemctl stop {self.unit}"
 
 
 def holder_of(address: Address) -> Holder | None:
@@ -91,14 +96,29 @@ def group_of(device: str) -> str:
     return ""
 
 
+def service_of(cgroups: str) -> tuple[str, bool]:
+    """Return the service of ``/proc/PID/cgroup``, and whether it is of a user's own systemd.
+
+    A service may have groups of its own below it. What runs in a scope, such as a login, belongs to
+    no service, whatever is above.
+    """
+    for line in cgroups.splitlines():
+        path = line.rpartition(":")[2].split("/")
+        units = [one for one in path if one.endswith((".service", ".scope"))]
+        if units and units[-1].endswith(".service") and not units[-1].startswith("user@"):
+            return units[-1], any(one.startswith("user@") for one in units)
+    return "", False
+
+
 def _describe(process: Path) -> Holder:
     command = (process / "cmdline").read_bytes().split(b"\0")
-    unit = re.search(r"/([^/]+\.service)$", (process / "cgroup").read_text(), re.MULTILINE)
+    unit, is_users = service_of((process / "cgroup").read_text())
     words = [os.path.basename(word.decode("utf-8", "replace")) for word in command if word]
     is_daemon = "run" in words and bool({"ekf_companion", "ekf-companion"} & set(words))
     return Holder(
         pid=int(process.name),
         name="ekf-companion" if is_daemon else (process / "comm").read_text().strip(),
-        unit=unit[1] if unit else "",
+        unit=unit,
+        is_users=is_users,
         is_daemon=is_daemon,
     )
