@@ -28,7 +28,7 @@ Row = dict[str, str | int | float | None]
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv")
 """Kinds of logs that are looked for in folders."""
 SHOWN = 4
-"""Files that are left out, by name."""
+"""Files that are left out for one reason, by name."""
 SKIPPED = {"truth": 30.0, "autopilot": 20.0}
 """Seconds at the start that do not count in the errors, as in ``compare``."""
 _RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
@@ -94,40 +94,53 @@ def find_logs(names: Sequence[str]) -> list[Path]:
 
 
 def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
-    """Return how many files of the folders are no logs, and which; empty: none, but what is taken.
+    """Return how many files of the folders are no logs, which, and why; empty: none is left out.
 
     Taken are the logs that :func:`find_logs` found there, and the outputs.
     """
     ours = {path.resolve() for path in taken}
-    found = [
-        path
+    ours |= {beside.resolve() for path in taken if (beside := map_beside(path)) is not None}
+    found = {
+        path.resolve(): path
         for name in names
         if Path(name).is_dir()
         for path in sorted(Path(name).rglob("*"))
         if path.is_file() and path.resolve() not in ours
-    ]
+    }
     if not found:
         return ""
-    shown = ", ".join(printable(path) for path in found[:SHOWN])
-    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return f"{counted(len(found), 'file')} left out: {shown}{more} (taken: {', '.join(SUFFIXES)})"
+    by_reason: dict[str, list[Path]] = {}
+    for path in found.values():
+        by_reason.setdefault(_why_not(path), []).append(path)
+    groups = []
+    for why, paths in sorted(by_reason.items()):
+        shown = ", ".join(printable(path) for path in paths[:SHOWN])
+        more = f" and {len(paths) - SHOWN} more" if len(paths) > SHOWN else ""
+        groups.append(f"{shown}{more} ({why})")
+    return f"{counted(len(found), 'file')} left out: {'; '.join(groups)}"
 
 
 def _is_log(path: Path) -> bool:
     """Return whether a file in a folder may be a log: no estimate, and no other table."""
+    return not _why_not(path)
+
+
+def _why_not(path: Path) -> str:
+    """Return why a file in a folder is left out; empty: it may be a log."""
     if suffix_of(path) not in SUFFIXES:
-        return False
-    if path.suffix.lower() != ".csv":
-        return True
-    if map_beside(path) is not None:
-        return True
+        return f"none of {', '.join(SUFFIXES)}"
+    if path.suffix.lower() != ".csv" or map_beside(path) is not None:
+        return ""
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             names = [name.strip() for name in file.readline(1 << 16).split(",")]
     except OSError:
-        return True  # it may be one, and its row says why it cannot be read
-    has_motion = any(name.startswith("gyro_x") for name in names)
-    return (has_motion and not is_estimate(path)) or csv_known.find(names) is not None
+        return ""  # it may be one, and its row says why it cannot be read
+    if is_estimate(path):
+        return "an estimate that convert wrote"
+    if any(name.startswith("gyro_x") for name in names) or csv_known.find(names) is not None:
+        return ""
+    return "a table without inertial samples: no column gyro_x; name it by itself to have it read"
 
 
 def examine(path: Path, config: Config) -> Row:

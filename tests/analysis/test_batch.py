@@ -20,6 +20,7 @@ from ekf_companion.analysis.batch_table import lines
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError
+from ekf_companion.logs.estimate import COLUMNS as ESTIMATE_COLUMNS
 from sim_autopilot.__main__ import app as sim
 from tests.analysis import batch_tasks
 
@@ -223,10 +224,33 @@ def test_files_that_are_no_logs_are_counted_and_named(folder):
     mine = folder / "below" / "cut.tlog"
     logs = find_logs([str(folder)])
     words = left_out([str(folder)], [*logs, folder / "truth.csv"])
-    assert words == f"1 file left out: {folder}/notes.txt (taken: .tlog, .bin, .ulg, .csv)"
+    kinds = "none of .tlog, .bin, .ulg, .csv"
+    assert words == f"1 file left out: {folder}/notes.txt ({kinds})"
     both = left_out([str(folder), str(mine)], logs)
-    assert both.startswith(f"2 files left out: {folder}/notes.txt, {folder}/truth.csv (taken")
+    assert both.startswith(f"2 files left out: {folder}/truth.csv (a table without inertial")
+    assert both.endswith(f"; {folder}/notes.txt ({kinds})")
     assert left_out([str(mine)], []) == ""
+
+
+def test_why_a_table_is_left_out_is_said_and_no_file_counts_twice(tmp_path):
+    """A .csv was left out, and the line said that .csv are taken."""
+    (tmp_path / "below").mkdir()
+    (tmp_path / "estimate.csv").write_text(f"{','.join(ESTIMATE_COLUMNS)}\n")
+    (tmp_path / "below" / "wind.csv").write_text("time_s,wind_mps\n0,1\n")
+    (tmp_path / "mine.csv").write_text("time_s,gyro_x_rps\n0,1\n")
+    (tmp_path / "odd.csv").write_text("t,p\n0,1\n")
+    (tmp_path / "odd.csv.columns.yaml").write_text("time: t\n")
+    for number in range(6):
+        (tmp_path / f"{number}.txt").write_text("")
+    folders = [str(tmp_path), str(tmp_path / "below")]
+    logs = find_logs(folders)
+    assert [path.name for path in logs] == ["mine.csv", "odd.csv"]
+    words = left_out(folders, logs)
+    assert words.startswith("8 files left out: ")
+    assert f"{tmp_path}/estimate.csv (an estimate that convert wrote)" in words
+    assert f"{tmp_path}/below/wind.csv (a table without inertial samples: no column" in words
+    assert f"{tmp_path}/3.txt and 2 more (none of .tlog, .bin, .ulg, .csv)" in words
+    assert "columns.yaml" not in words
 
 
 @pytest.mark.parametrize(
