@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 
 
 def batch(
@@ -34,7 +35,7 @@ def batch(
         for out in outs:
             batch_table.check(out)
         journal = outs[0].with_name(f"{outs[0].name}.journal")
-        with terminal.progress_bar(f"{len(found)} logs") as progress:
+        with progress_line(f"{len(found)} logs") as progress:
             executor = batch_run.Processes(jobs)
             rows = batch_run.run(found, terminal.load(config), journal, executor, progress)
         for out in outs:

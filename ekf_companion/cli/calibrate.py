@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 
 if TYPE_CHECKING:
     from ekf_companion.analysis.figure_file import Draw
@@ -34,7 +35,8 @@ def calibrate_noise(
     from ekf_companion.calibrate import noise
 
     with terminal.open_log(log, config, plot) as (recording, settings):
-        found = noise.measure(recording, settings, str(log))
+        with progress_line(f"{log.name}: noise"):
+            found = noise.measure(recording, settings, str(log))
         result = noise.result(found, settings).after(recording.notes)
         _report("noise", log, plot, as_json, result, partial(draw_noise, found))
 
@@ -51,7 +53,7 @@ def calibrate_delay(
     from ekf_companion.calibrate import delay
 
     with terminal.open_log(log, config, plot) as (recording, settings):
-        with terminal.progress_bar(f"{log.name}: delays") as progress:
+        with progress_line(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
         result = delay.result(found).after(recording.notes)
         _report("delay", log, plot, as_json, result, partial(draw_delay, found))
@@ -69,7 +71,8 @@ def calibrate_mag(
     from ekf_companion.calibrate import mag
 
     with terminal.open_log(log, config, plot) as (recording, settings):
-        found = mag.measure(recording, settings, str(log))
+        with progress_line(f"{log.name}: magnetometer"):
+            found = mag.measure(recording, settings, str(log))
         result = mag.result(found).after(recording.notes)
         _report("mag", log, plot, as_json, result, partial(draw_mag, found))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -58,7 +59,9 @@ def compare(
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
         terminal.check_outputs(inputs, [("--plot", plot)])
         if filters is None:
-            ours = _ours(log, terminal.load(config), is_smoothed=smooth, is_silent=as_json)
+            ours = _ours(
+                log, terminal.load(config), reference, is_smoothed=smooth, is_silent=as_json
+            )
             _compare_ours(log, ours, reference, (skip, until), plot, as_json)
         elif smooth:
             raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
@@ -88,9 +91,12 @@ class _Ours(NamedTuple):
         return self.report.truth if self.report else None
 
 
-def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _Ours:
-    """Run the estimator over a log, or read an estimate that it has written."""
-    from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate
+def _ours(
+    log: Path, config: Config, reference: Path | None, *, is_smoothed: bool, is_silent: bool
+) -> _Ours:
+    """Run the estimator over a log and print the verdict, or read an estimate that it wrote."""
+    from ekf_companion.analysis.judgement import judge_log, take_truth
+    from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate, read_truth
     from ekf_companion.replay import convert as converter
 
     if is_estimate(log):
@@ -100,7 +106,7 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _
             )
         return _Ours(read_estimate(log), [])
     live: list[Trajectory] = []
-    with terminal.progress_bar(log.name) as progress:
+    with progress_line(log.name) as progress:
         if is_smoothed:
             table, smoothed, report = converter.estimate_and_smooth(log, config, progress)
             estimate = of_table(smoothed, "ekf-companion, smoothed")
@@ -109,7 +115,10 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _
             table, report = converter.estimate(log, config, progress)
             estimate = of_table(table, "ekf-companion")
     if not is_silent:
-        typer.echo("\n".join(converter.summary(report)) + "\n")
+        if reference is not None and not is_estimate(reference):
+            take_truth(report, read_truth(reference))
+        lines = [judge_log(report).sentence, *converter.summary(report)]
+        typer.echo("\n".join(lines) + "\n")
     return _Ours(estimate, live, report)
 
 
@@ -159,7 +168,9 @@ def _compare_ours(
         if doubt := evidence_of(ours.report).truth_elsewhere:
             typer.echo(f"note: {doubt}", err=as_json)
     if plot is not None:
-        trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+        with progress_line(f"{plot.name}: drawing"):
+            trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+        typer.echo(f"figure: {plot}", err=as_json)
 
 
 def _if_own(reference: Path | None, words: str) -> str:
@@ -194,7 +205,7 @@ def _compare_filters(
     recording = terminal.read(log, config)
     names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
-        with terminal.progress_bar(f"{log.name}: filters") as progress:
+        with progress_line(f"{log.name}: filters") as progress:
             entries = comparison.run_filters(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error
@@ -216,10 +227,14 @@ def _compare_filters(
     terminal.show(as_json, data, [title, "", *comparison.table(entries), *notes])
     if own_words := _if_own(reference, "estimates' distances, and no errors"):
         typer.echo(f"note: {own_words}", err=as_json)
-    if plot is not None and against is not None:
-        lines = [one.trajectory for one in entries if one.trajectory is not None]
-        trajectory_figure.plot(
-            plot, [*lines, against], log.name, events=recording.events, with_errors=True
-        )
-    elif plot is not None:
-        walk_figure.plot(plot, solutions, log.name)
+    if plot is None:
+        return
+    with progress_line(f"{plot.name}: drawing"):
+        if against is not None:
+            lines = [one.trajectory for one in entries if one.trajectory is not None]
+            trajectory_figure.plot(
+                plot, [*lines, against], log.name, events=recording.events, with_errors=True
+            )
+        else:
+            walk_figure.plot(plot, solutions, log.name)
+    typer.echo(f"figure: {plot}", err=as_json)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError
 
 
@@ -42,7 +43,7 @@ def convert(
     from ekf_companion.analysis.judgement import judge_log, take_truth
     from ekf_companion.replay import convert as converter
 
-    with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
+    with terminal.exit_on_error(), progress_line(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "the reference": reference}
         terminal.check_outputs(inputs, [("--out", out) for out in outs])
         truth = terminal.read_truth(reference)
@@ -52,16 +53,19 @@ def convert(
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
             solution = converter.convert_by(chosen, log, outs, terminal.load(config), rate)
-            lines = [f"{log}:", *solution.summary()]
-            terminal.show(as_json, solution.to_dict(), lines, err=is_piped)
-            return
-        report = converter.convert(
-            log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
-        )
-        take_truth(report, truth)
-    judgement = judge_log(report)
-    data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
-    terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)], err=is_piped)
+            data, lines = solution.to_dict(), [f"{log}:", *solution.summary()]
+        else:
+            report = converter.convert(
+                log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
+            )
+            take_truth(report, truth)
+            judgement = judge_log(report)
+            data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
+            lines = [judgement.sentence, *converter.summary(report)]
+    terminal.show(as_json, data, lines, err=is_piped)
+    for out in outs:
+        if out != Path("-"):
+            typer.echo(f"wrote {out}", err=as_json or is_piped)
 
 
 def _choose(name: str, options: list[str | None]) -> str:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load, progress_bar
+from ekf_companion.cli.progress import progress_line
+from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -77,11 +78,11 @@ def _examine(
     from ekf_companion.doctor.examination import examine_link, examine_log
 
     if log is not None:
-        with progress_bar(log.name) as progress:
+        with progress_line(log.name) as progress:
             return examine_log(log, config, progress)
     if link is not None:
         config = replace(config, link=replace(config.link, url=link))
-    with progress_bar(config.link.url) as progress:
+    with progress_line(f"listening on {config.link.url}", in_seconds=True) as progress:
         return examine_link(config, seconds, listen=listen, progress=progress)
 
 

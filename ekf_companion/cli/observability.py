@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import LogError
 
 
@@ -31,7 +32,7 @@ def observability(
             course = MeasurementSequence(
                 recording.events, settings, recording.family, recording.gnss_delay
             )
-            with terminal.progress_bar(f"{log.name}: observability") as progress:
+            with progress_line(f"{log.name}: observability") as progress:
                 found = analysis.analyse(
                     course, course.setup(), settings, window=window, progress=progress
                 )

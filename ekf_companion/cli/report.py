@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError
 
 
@@ -25,7 +26,7 @@ def report(
     """Show a flight in one HTML file: a verdict, tracks, innovations, biases, spectra."""
     from ekf_companion.analysis import flight_review, report_page, trajectory_figure
 
-    with terminal.exit_on_error():
+    with terminal.exit_on_error(), progress_line(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "the reference": reference}
         terminal.check_outputs(inputs, [("--out", out)])
         if out is not None and out.suffix.lower() not in (".html", ".htm"):
@@ -34,8 +35,8 @@ def report(
                 "prints its numbers, and convert writes tracks (.kml, .gpx)"
             )
         truth = terminal.read_truth(reference)
-        with terminal.progress_bar(log.name) as progress:
-            found = flight_review.review(log, terminal.load(config), progress, truth)
+        found = flight_review.review(log, terminal.load(config), progress, truth)
+        progress.stage(f"{log.name}: writing the report")
         path = out if out is not None else terminal.beside(log, "report", ".html")
         report_page.write(path, found)
         files = [path]

@@ -1,10 +1,9 @@
-"""What the commands share: options, error messages, a progress bar, JSON, reading a log."""
+"""What the commands share: options, error messages, JSON, reading a log."""
 
 from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError, remedy
 
 if TYPE_CHECKING:
@@ -85,20 +85,6 @@ def load(path: Path | None) -> Config:
     return Config() if path is None else load_config(path)
 
 
-@contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on a terminal, and nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(title, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
-
-
 def show(as_json: bool, data: object, lines: Iterable[str], *, err: bool = False) -> None:
     """Print a result, on the standard error if asked: the lines, or in their place JSON."""
     if as_json:
@@ -140,7 +126,7 @@ def read(log: Path, config: Config) -> Recording:
     """Read a log."""
     from ekf_companion.replay import convert as converter
 
-    with progress_bar(log.name) as progress:
+    with progress_line(f"{log.name}: reading") as progress:
         return converter.read(log, config, progress)
 
 
@@ -172,7 +158,8 @@ def write_figure(log: Path, kind: str, plot: Path | None, write: Callable[[Path]
     path = plot if plot is not None else beside(log, kind, ".png")
     if plot is None and not os.access(path.parent, os.W_OK):
         return f"no figure: {path.parent} cannot be written to; name a file with --plot"
-    write(path)
+    with progress_line(f"{path.name}: drawing"):
+        write(path)
     return f"figure: {path}"
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError
 
 HOST = "127.0.0.1"
@@ -38,9 +39,9 @@ def view(
                 f"--port: {port}: {error.strerror}; name another, or none for a free one"
             ) from error
         with listener:
-            with terminal.progress_bar(log.name) as progress:
+            with progress_line(log.name) as progress:
                 found = flight_review.review(log, terminal.load(config), progress, truth)
-            data = log_view.to_json(found)
+                data = log_view.to_json(found)
             taken = listener.getsockname()[1]
             settings = HttpConfig(host=HOST, port=taken)
             server = HttpServer(settings, lambda: LogSite(data), listener=listener)

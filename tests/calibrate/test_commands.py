@@ -55,7 +55,7 @@ def test_a_calibration_prints_yaml_and_writes_a_figure_and_json(flown, tmp_path,
     assert before.startswith(b"\x89PNG")
     again = command(kind, flown[name], "--json")
     assert key in json.loads(again.stdout)["keys"]
-    assert again.stderr == f"# figure: {figure.with_name(f'{name}.{kind}-2.png')}\n"
+    assert again.stderr.endswith(f"# figure: {figure.with_name(f'{name}.{kind}-2.png')}\n")
     assert figure.read_bytes() == before
     assert list(tmp_path.iterdir()) == []
 
@@ -77,7 +77,7 @@ def test_the_figure_goes_where_it_is_asked_for_and_what_is_printed_says_so(flown
 def test_a_log_that_cannot_serve_ends_with_3_and_a_sentence(flown, tmp_path, kind, name, sentence):
     result = command(kind, flown[name])
     assert result.exit_code == 3
-    assert result.stderr.startswith(f"ekf-companion: {flown[name]}: {sentence}")
+    assert f"ekf-companion: {flown[name]}: {sentence}" in result.stderr
     assert result.stdout == ""
     assert list(tmp_path.iterdir()) == []
 

@@ -114,3 +114,32 @@ def test_a_link_that_is_none_is_a_wrong_command_line():
     result = command("run", "--link", "com3")
     assert result.exit_code == 2
     assert result.stderr.startswith("ekf-companion: com3: not a link; write for")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".kml"])
+def test_convert_says_what_it_wrote(flown, tmp_path, suffix):
+    out = tmp_path / f"out{suffix}"
+    result = command("convert", flown, "-o", out)
+    assert result.stdout.endswith(f"wrote {out}\n")
+
+
+def test_convert_by_another_filter_and_to_two_files_says_so_too(flown, tmp_path):
+    outs = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    result = command("convert", flown, "-o", outs[0], "-o", outs[1], "--filter", "mahony")
+    assert result.stdout.endswith(f"wrote {outs[0]}\nwrote {outs[1]}\n")
+
+
+def test_on_a_pipe_nothing_but_numbers_is_on_the_standard_output(flown, tmp_path):
+    beside = tmp_path / "track.csv"
+    result = command("convert", flown, "-o", "-", "-o", beside)
+    assert "wrote" not in result.stdout
+    assert f"wrote {beside}\n" in result.stderr
+
+
+def test_compare_says_the_verdict_that_report_does_and_names_its_figure(flown, tmp_path):
+    figure = tmp_path / "track.png"
+    compared = command("compare", flown, "--skip", 2, "--plot", figure)
+    assert compared.exit_code == 0, compared.output
+    reported = command("report", flown, "-o", tmp_path / "out.html")
+    assert compared.stdout.splitlines()[0] == reported.stdout.splitlines()[0]
+    assert compared.stdout.endswith(f"figure: {figure}\n")

@@ -43,7 +43,7 @@ def test_it_prints_a_sentence_per_state_and_writes_a_figure_and_json(flown, tmp_
     assert result.stdout.endswith(f"figure: {figure}\n")
     assert figure.read_bytes().startswith(b"\x89PNG")
     again = command(flown["static"], "--json")
-    assert again.stderr == f"figure: {figure.with_name('static.observability-2.png')}\n"
+    assert again.stderr.endswith(f"figure: {figure.with_name('static.observability-2.png')}\n")
     data = json.loads(again.stdout)
     assert data["states"]["accelerometer y bias"]["observable_since_s"] is None
     assert set(data["sentences"]) <= set(result.stdout.splitlines())
@@ -69,7 +69,7 @@ def test_a_log_without_fixes_or_headings_ends_with_3_and_a_sentence(tmp_path):
     )
     result = command("bare.csv")
     assert result.exit_code == 3
-    assert result.stderr.startswith("ekf-companion: bare.csv: ")
+    assert "ekf-companion: bare.csv: " in result.stderr
     assert result.stdout == ""
     assert command("missing.ulg").exit_code == 3
 
