@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 STAGE_FAILED = 5
 """Exit code if a stage fails."""
+_PEER = ("system_id", "component_id", "family", "version")
+"""What is printed of the autopilot."""
 
 
 def doctor(
@@ -34,6 +36,10 @@ def doctor(
     listen: Annotated[
         bool, typer.Option("--listen", help="Send nothing: no heartbeat and no request.")
     ] = False,
+    url: Annotated[
+        str | None,
+        typer.Option("--url", help="Ask a daemon that runs, and has the link, as status does."),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the findings as JSON, and nothing else.")
     ] = False,
@@ -46,15 +52,40 @@ def doctor(
             raise ConfigError("--log: a recording has no link; leave out --link and --listen")
         if log is not None and log.suffix.lower() != ".tlog":
             raise ConfigError(f"--log: {log}: only a .tlog has the stages; name one, or a --link")
-        with _quiet():
-            evidence = _examine(load(config), link, log, seconds, listen=listen)
-    findings = diagnose(evidence)
+        if url is not None and (log is not None or link is not None or listen or config):
+            raise ConfigError("--url: a daemon has its own link; leave the other options out")
+        if url is not None:
+            findings, report = _ask(url)
+        else:
+            with _quiet():
+                evidence = _examine(load(config), link, log, seconds, listen=listen)
+            findings = diagnose(evidence)
+            report = _about(evidence, log)
     if as_json:
-        _print_json(evidence, findings, log)
+        report["stages"] = [finding.to_dict() for finding in findings]
+        typer.echo(json.dumps(report, indent=2, ensure_ascii=False))
     else:
         _print(findings)
     if first_failure(findings) is not None:
         raise typer.Exit(STAGE_FAILED)
+
+
+def _ask(url: str) -> tuple[list[StageResult], dict[str, Any]]:
+    """Return what a running daemon's status shows at each stage, and what it is about."""
+    from ekf_companion.cli.status import NO_DAEMON, fetch
+    from ekf_companion.doctor.running import diagnose_running
+
+    answer = fetch(url)
+    if answer.code == NO_DAEMON or not answer.data:
+        typer.echo(f"ekf-companion: {answer.sentence}", err=True)
+        raise typer.Exit(answer.code)
+    process, peer = answer.data["process"], answer.data["peer"]
+    report = {"examined": url, "means": "daemon", "seconds": round(process["uptime_s"], 1)}
+    return diagnose_running(answer.data), {**report, "autopilot": _named(peer)}
+
+
+def _named(peer: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    return {name: peer[name] for name in _PEER} if peer else None
 
 
 @contextmanager
@@ -86,16 +117,15 @@ def _examine(
         return examine_link(config, seconds, listen=listen, progress=progress)
 
 
-def _print_json(evidence: Evidence, findings: list[StageResult], log: Path | None) -> None:
-    peer, names = evidence.peer, ("system_id", "component_id", "family", "version")
-    report = {
+def _about(evidence: Evidence, log: Path | None) -> dict[str, Any]:
+    """Return what was examined, and how."""
+    peer = evidence.peer
+    return {
         "examined": str(log) if log else evidence.config.link.url,
         "means": evidence.means.value,
         "seconds": round(evidence.seconds, 1),
-        "autopilot": peer and {name: getattr(peer, name) for name in names},
-        "stages": [finding.to_dict() for finding in findings],
+        "autopilot": peer and {name: getattr(peer, name) for name in _PEER},
     }
-    typer.echo(json.dumps(report, indent=2, ensure_ascii=False))
 
 
 def _print(findings: list[StageResult]) -> None:

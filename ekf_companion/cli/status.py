@@ -31,6 +31,8 @@ NOT_OK, NO_DAEMON = 1, 4
 """Exit codes."""
 _HOST_AND_PORT = re.compile(r"([\w.-]+|\[[0-9a-fA-F:.]+\]):\d+")
 """Begin of an address without ``http://``."""
+_LINKS = ("serial:", "udpin:", "udpout:", "udpbcast:", "udp:", "tcp:", "tcpin:", "/dev/")
+"""How links begin."""
 _FOREIGN = "{}: what answers is no ekf-companion; name its address with --url"
 
 
@@ -71,12 +73,14 @@ def fetch(url: str) -> Answer:
     from urllib.error import HTTPError
     from urllib.request import ProxyHandler, Request, build_opener
 
-    if _HOST_AND_PORT.match(url):
+    is_link = url.startswith(_LINKS)
+    if _HOST_AND_PORT.match(url) and not is_link:
         url = f"http://{url}"
     base, _, token = url.partition("?token=")
     where = f"{base.rstrip('/')}/status"
     if not url.startswith(("http://", "https://")):
-        return Answer(NO_DAEMON, f"--url: {url}: is no address; write it as in {URL}", {})
+        other = " (a link is named with --link)" if is_link else ""
+        return Answer(NO_DAEMON, f"--url: {url}: is no address; write it as in {URL}{other}", {})
     try:
         # No proxy: the daemon is on this board, or on one beside it
         request = Request(where, headers={"Authorization": f"Bearer {token}"} if token else {})

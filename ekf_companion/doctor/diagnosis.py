@@ -22,7 +22,7 @@ _JUDGES: dict[Stage, Callable[[Evidence], StageResult]] = {
     Stage.SENT: feedback.sent,
     Stage.FUSED: feedback.fused,
 }
-_GATES = (Stage.LINK, Stage.BYTES, Stage.FRAMES, Stage.SOURCE)
+GATES = (Stage.LINK, Stage.BYTES, Stage.FRAMES, Stage.SOURCE)
 """If one of these fails, nothing can be known about the stages after it."""
 
 
@@ -32,7 +32,7 @@ def diagnose(evidence: Evidence) -> list[StageResult]:
     is_hidden = False
     for stage, judge in _JUDGES.items():
         results.append(unknown(stage, NOT_REACHED) if is_hidden else judge(evidence))
-        is_hidden |= stage in _GATES and results[-1].outcome is Outcome.FAILED
+        is_hidden |= stage in GATES and results[-1].outcome is Outcome.FAILED
     return results
 
 

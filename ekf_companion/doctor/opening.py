@@ -93,7 +93,8 @@ def _busy(opening: Opening) -> Problem:
     if holder.is_daemon:
         return failed(
             f"Our own daemon has {what}: {holder}.",
-            "Ask it: `ekf-companion status`. To examine the link from here, "
+            "Ask it: `ekf-companion status`, or `ekf-companion doctor --url "
+            "http://127.0.0.1:9331`, its http.host and http.port. To examine the link from here, "
             f"`{holder.stop}` first.",
         )
     return failed(

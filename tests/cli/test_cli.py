@@ -136,10 +136,10 @@ def test_on_a_pipe_nothing_but_numbers_is_on_the_standard_output(flown, tmp_path
     assert f"wrote {beside}\n" in result.stderr
 
 
-def test_compare_says_the_verdict_that_report_does_and_names_its_figure(flown, tmp_path):
+def test_compare_says_the_verdict_that_report_and_convert_do_and_names_its_figure(flown, tmp_path):
     figure = tmp_path / "track.png"
     compared = command("compare", flown, "--skip", 2, "--plot", figure)
     assert compared.exit_code == 0, compared.output
-    reported = command("report", flown, "-o", tmp_path / "out.html")
+    reported = command("convert", flown, "-o", tmp_path / "out.csv")
     assert compared.stdout.splitlines()[0] == reported.stdout.splitlines()[0]
     assert compared.stdout.endswith(f"figure: {figure}\n")
