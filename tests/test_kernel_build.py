@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from tests.daemon.waiting import LIMIT
 from tests.paths import ROOT
 
 pytestmark = pytest.mark.campaign
@@ -37,7 +38,7 @@ def compiled(folder, *command):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=2 * LIMIT,
         check=False,
     )
     assert made.returncode == 0, made.stderr

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from ekf_companion.cli import app
 from sim_autopilot.autopilot import Kind
 from tests.daemon.test_daemon import Daemon, Record, fly_over, free_port, plan
+from tests.daemon.waiting import LIMIT
 from tests.paths import ROOT
 from tests.sandbox import confine, numbers
 
@@ -38,7 +39,7 @@ def analyze(*arguments):
     if tool is None:
         pytest.skip("systemd-analyze is not installed (Debian and Ubuntu: package systemd)")
     result = subprocess.run(
-        [tool, *arguments], capture_output=True, text=True, check=False, timeout=60
+        [tool, *arguments], capture_output=True, text=True, check=False, timeout=LIMIT
     )
     return result.returncode, result.stdout + result.stderr
 

@@ -23,6 +23,7 @@ from ekf_companion.errors import ConfigError
 from ekf_companion.logs.estimate import COLUMNS as ESTIMATE_COLUMNS
 from sim_autopilot.__main__ import app as sim
 from tests.analysis import batch_tasks
+from tests.daemon.waiting import LIMIT
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +137,7 @@ def test_killed_in_the_middle_it_goes_on_where_it_ended(folder, expected, tmp_pa
     out, journal = tmp_path / "table.csv", tmp_path / "table.csv.journal"
     command = [sys.executable, "-m", "ekf_companion", "batch", str(folder), "-o", str(out)]
     with subprocess.Popen([*command, "--jobs", "2"]) as process:
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + LIMIT
         while not (journal.exists() and journal.read_text().count("\n") >= 3):
             assert process.poll() is None, "it ended before it could be killed"
             assert time.monotonic() < deadline
@@ -146,7 +147,7 @@ def test_killed_in_the_middle_it_goes_on_where_it_ended(folder, expected, tmp_pa
     assert not out.exists()
     with journal.open("a") as file:
         file.write('["half a li')
-    done = subprocess.run([*command, "--jobs", "1"], capture_output=True, timeout=60, check=True)
+    done = subprocess.run([*command, "--jobs", "1"], capture_output=True, timeout=LIMIT, check=True)
     assert rows_of(out) == as_text(expected)
     assert not journal.exists()
     assert len(before) >= 3

@@ -27,6 +27,7 @@ from benchmarks.sitl.throttle import PORT, Throttle, Way, frames
 from benchmarks.sitl.throttle import Line as Wire
 from benchmarks.sitl.tracks import Track, match
 from ekf_companion.mavlink.codec import Sender, pack
+from tests.daemon.waiting import LIMIT
 
 
 def track(lead=0.0, offset=0.0, yaw=0.0):
@@ -325,10 +326,10 @@ def test_a_line_carries_both_ways_over_a_real_socket(tmp_path):
         with Throttle(simulator, Wire(kind="tcp", baud=57600), tmp_path) as between:
             between.start()
             _, host, port = between.link.split(":")
-            with socket.create_connection((host, int(port)), timeout=60.0) as daemon:
+            with socket.create_connection((host, int(port)), timeout=LIMIT) as daemon:
                 far, _ = server.accept()
                 with far:
-                    far.settimeout(60.0)
+                    far.settimeout(LIMIT)
                     far.sendall(b"".join(sent))
                     daemon.sendall(b"up" * 50)
                     assert received(daemon, size) == b"".join(sent)
@@ -346,7 +347,7 @@ def test_a_line_is_a_pseudo_terminal_too(tmp_path):
             assert rate == "57600"
             far, _ = server.accept()
             with far, open(device, "r+b", buffering=0) as daemon:
-                far.settimeout(60.0)
+                far.settimeout(LIMIT)
                 far.sendall(b"".join(sent))
                 daemon.write(b"up" * 50)
                 assert received(far, 100) == b"up" * 50
@@ -366,8 +367,8 @@ def test_a_line_is_datagrams_too_of_one_frame_each(tmp_path):
             far, _ = server.accept()
             with far, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon:
                 daemon.bind((host, int(port)))
-                daemon.settimeout(60.0)
-                far.settimeout(60.0)
+                daemon.settimeout(LIMIT)
+                far.settimeout(LIMIT)
                 far.sendall(b"".join(sent))
                 found, peer = daemon.recvfrom(4096)
                 assert found == sent[0]

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
+from tests.daemon.waiting import LIMIT
+
 
 @contextmanager
 def serving_once(page: bytes) -> Iterator[str]:
@@ -20,7 +22,7 @@ def serving_once(page: bytes) -> Iterator[str]:
             pass
 
     with HTTPServer(("127.0.0.1", 0), Served) as server:
-        server.timeout = 60.0
+        server.timeout = LIMIT
         thread = threading.Thread(target=server.handle_request)
         thread.start()
         try:

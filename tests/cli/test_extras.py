@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from ekf_companion.analysis.flight_review import SEGMENT, _densities
 from sim_autopilot.__main__ import app as simulator
 from tests.daemon.test_daemon import free_port
+from tests.daemon.waiting import LIMIT
 from tests.paths import ROOT
 
 pytestmark = pytest.mark.campaign
@@ -32,7 +33,7 @@ BARE = (
 def bare(*arguments, module="ekf_companion.cli"):
     """Run a command where none of the extras is installed."""
     command = [sys.executable, "-c", BARE.format(module=module), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +92,6 @@ def test_logs_are_converted_without_any_extra(tmp_path, log, name):
     assert (tmp_path / "out.csv").stat().st_size > 100_000
 
 
-@pytest.mark.timeout(300)
 def test_the_daemon_flies_without_any_extra(tmp_path):
     """Against the fake autopilot, over real UDP."""
     port, http = free_port(), free_port()
@@ -121,11 +121,11 @@ def test_the_daemon_flies_without_any_extra(tmp_path):
                 capture_output=True,
                 text=True,
                 check=False,
-                timeout=200,
+                timeout=LIMIT,
             )
         finally:
             daemon.send_signal(signal.SIGTERM)
-            said = daemon.communicate(timeout=30)[1]
+            said = daemon.communicate(timeout=LIMIT)[1]
     assert daemon.returncode == 0, said
     assert "Estimate is OK" in said
     assert json.loads(score.read_text())["odometry"]["received"] > 30, flown.stderr

@@ -6,8 +6,7 @@ import sys
 import time
 
 from ekf_companion.cli.progress import QUIET_S, Progress, progress_line
-
-LIMIT = 120.0
+from tests.daemon.waiting import LIMIT
 
 
 def test_nothing_is_written_while_nobody_wonders():

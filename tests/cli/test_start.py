@@ -8,6 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from ekf_companion.cli import COMMANDS, app
+from tests.daemon.waiting import LIMIT
 
 runner = CliRunner()
 CSV = "time_us,gyro_x_rps,gyro_y_rps,gyro_z_rps,accel_x_mps2,accel_y_mps2,accel_z_mps2\n"
@@ -21,7 +22,7 @@ def imported(*arguments):
         "print(*{'.'.join(name.split('.')[:2]) for name in sys.modules})"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=LIMIT
     )
     return {*done.stdout.splitlines()[-1].split()}
 

@@ -17,6 +17,7 @@ from ekf_companion.daemon.logging import (
     priority,
 )
 from tests.daemon.test_daemon import free_port
+from tests.daemon.waiting import LIMIT
 
 
 class Journal:
@@ -26,7 +27,7 @@ class Journal:
         self.path = path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(path))
-        self._socket.settimeout(60.0)
+        self._socket.settimeout(LIMIT)
 
     def __enter__(self):
         return self

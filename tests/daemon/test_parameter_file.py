@@ -11,8 +11,9 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from tests.daemon.test_daemon import Daemon, free_port
+from tests.daemon.waiting import LIMIT
 
-PATIENCE = 60.0
+PATIENCE = LIMIT
 """For a loaded machine, s; nothing waits so long."""
 
 

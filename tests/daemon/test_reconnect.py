@@ -34,7 +34,7 @@ RESUMES = 3.0
 HEARTBEAT = IDS["HEARTBEAT"]
 LIMIT = RESUMES if "RECONNECT_CYCLES" in os.environ else 10.0 * RESUMES
 """Seconds: a campaign has the machine for itself, a test has not."""
-LONG = pytest.mark.timeout(180 + 6 * CYCLES)
+LONG = pytest.mark.timeout(900 + 6 * CYCLES)
 
 
 def descriptors(process="self"):

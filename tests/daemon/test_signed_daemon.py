@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.signing import time_of
 from tests.daemon.test_daemon import Daemon, free_port
+from tests.daemon.waiting import LIMIT
 
 KEY = bytes(range(200, 232))
 
@@ -45,7 +46,7 @@ class Autopilot:
 
     def answers(self, count):
         """Send heartbeats until so many frames came back that are believed."""
-        end, found = time.monotonic() + 60.0, []
+        end, found = time.monotonic() + LIMIT, []
         while len(found) < count:
             assert time.monotonic() < end
             self.heartbeat()

@@ -18,6 +18,7 @@ from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.fly import fly, over, run
 from tests.daemon.test_daemon import Daemon, Open, Record, Wire, free_port, plan
+from tests.daemon.waiting import LIMIT
 
 pytestmark = pytest.mark.campaign
 
@@ -244,7 +245,7 @@ def test_a_bug_in_reading_ends_the_reload_too(tmp_path):
     address = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(address)
-        manager.settimeout(60.0)
+        manager.settimeout(LIMIT)
         command = [sys.executable, "-c", BUG.format(port=free_port())]
         environment = {**os.environ, "NOTIFY_SOCKET": address}
         with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as it:

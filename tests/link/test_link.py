@@ -11,6 +11,7 @@ from ekf_companion.errors import LinkError
 from ekf_companion.link import link as link_module
 from ekf_companion.link.address import DEFAULT_BAUD, Address, Kind, parse_url
 from ekf_companion.link.link import Link
+from tests.daemon.waiting import LIMIT
 
 
 @pytest.mark.parametrize(
@@ -96,11 +97,11 @@ async def until(condition):
         while not condition():  # noqa: ASYNC110  # the condition is the kernel's, not ours
             await asyncio.sleep(0.002)
 
-    await asyncio.wait_for(wait(), 60.0)
+    await asyncio.wait_for(wait(), LIMIT)
 
 
 async def next_data(link):
-    return (await asyncio.wait_for(link.receive(), 60.0)).data
+    return (await asyncio.wait_for(link.receive(), LIMIT)).data
 
 
 async def read_exactly(link, count):
@@ -228,13 +229,13 @@ def test_a_tcp_client_that_speaks_keeps_its_place_and_strangers_are_counted(capl
         async with running(server):
             await until(lambda: server._server is not None)
             with socket.create_connection(("127.0.0.1", port)) as autopilot:
-                autopilot.settimeout(60.0)
+                autopilot.settimeout(LIMIT)
                 for k in range(1, 6):
                     autopilot.send(b"beat")
                     assert await read_exactly(server, 4) == b"beat"
                     with socket.create_connection(("127.0.0.1", port)) as stranger:
                         await until(lambda k=k: server.refused[link_module.NOT_FIRST] == k)
-                        stranger.settimeout(60.0)
+                        stranger.settimeout(LIMIT)
                         assert stranger.recv(100) == b""  # sent away
                 server.send(b"odometry")
                 assert autopilot.recv(100) == b"odometry"
@@ -345,7 +346,7 @@ def test_what_is_read_carries_the_time_of_the_links_clock():
         async with running(ours, theirs):
             await until(lambda: ours.is_open and theirs.is_open)
             theirs.send(b"now")
-            assert (await asyncio.wait_for(ours.receive(), 10.0)).now_ns == 42
+            assert (await asyncio.wait_for(ours.receive(), LIMIT)).now_ns == 42
 
     asyncio.run(scenario())
 

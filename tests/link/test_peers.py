@@ -13,6 +13,7 @@ from ekf_companion.link.address import parse_url
 from ekf_companion.link.link import Link
 from ekf_companion.link.peers import NOT_NAMED, NOT_PINNED, RELEASE_NS, SAME_HOST_NS, Peers
 from ekf_companion.status.collect import link_state
+from tests.daemon.waiting import LIMIT
 
 A, A2, B = ("10.0.0.2", 14550), ("10.0.0.2", 14551), ("10.0.0.9", 14550)
 
@@ -169,7 +170,7 @@ async def heard_by(peer="", **options):
             theirs = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             theirs.bind((host, 0))
             theirs.connect(("127.0.0.1", port))
-            theirs.settimeout(60.0)
+            theirs.settimeout(LIMIT)
             return theirs
 
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -177,7 +178,7 @@ async def heard_by(peer="", **options):
             port = probe.getsockname()[1]
         link = Link(parse_url(f"udpin:127.0.0.1:{port}"), peer=peer, peers=Peers(**options))
         task = asyncio.create_task(link.run())
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + LIMIT
         while not link.is_open:
             assert time.monotonic() < end
             await asyncio.sleep(0.002)
@@ -188,7 +189,7 @@ async def heard_by(peer="", **options):
 
 
 async def receive(link):
-    return await asyncio.wait_for(link.receive(), 60.0)
+    return await asyncio.wait_for(link.receive(), LIMIT)
 
 
 def test_a_stranger_gets_no_answer_and_no_hearing():
@@ -247,7 +248,7 @@ def test_a_peer_with_a_port_is_spoken_to_before_it_speaks():
     async def scenario():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as theirs:
             theirs.bind(("127.0.0.1", 0))
-            theirs.settimeout(60.0)
+            theirs.settimeout(LIMIT)
             peer = f"localhost:{theirs.getsockname()[1]}"
             async with heard_by(peer=peer) as (link, _):
                 link.send(b"hello")

@@ -17,6 +17,7 @@ from ekf_companion.logs.writer import WRITERS, Thinning, open_writer, with_posit
 from ekf_companion.nav.state import COLUMNS, GEODETIC, POSITION, QUATERNION, Status, Table
 from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
 from sim_autopilot.__main__ import app as sim
+from tests.daemon.waiting import LIMIT
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +187,7 @@ def test_ulog_has_px4s_topics_for_pyulog_and_for_us(flown, capsys):
 def test_csv_goes_to_a_pipe_and_the_summary_beside_it(flown):
     folder, _ = flown
     command = (sys.executable, "-m", "ekf_companion", "convert", folder / "flight.tlog")
-    done = subprocess.run([*command, "-o", "-"], capture_output=True, check=True, timeout=60)
+    done = subprocess.run([*command, "-o", "-"], capture_output=True, check=True, timeout=LIMIT)
     assert done.stdout == (folder / "out.csv").read_bytes()
     assert b"estimates" in done.stderr
 
@@ -194,7 +195,7 @@ def test_csv_goes_to_a_pipe_and_the_summary_beside_it(flown):
 def test_a_pipe_that_closes_early_is_no_bug(flown):
     folder, _ = flown
     command = f"{sys.executable} -m ekf_companion convert {folder / 'flight.tlog'} -o - | head -n 1"
-    done = subprocess.run(["sh", "-c", command], capture_output=True, timeout=60, check=True)
+    done = subprocess.run(["sh", "-c", command], capture_output=True, timeout=LIMIT, check=True)
     assert done.stdout.startswith(b"time_us,")
     assert b"Traceback" not in done.stderr
 

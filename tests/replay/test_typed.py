@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from tests.daemon.waiting import LIMIT
 from tests.paths import ROOT
 from tests.replay.test_python_docs import blocks
 
@@ -28,7 +29,7 @@ def checked(folder, text):
         env={**os.environ, "MYPYPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=2 * LIMIT,
         check=False,
     )
     return [

@@ -14,6 +14,7 @@ from ekf_companion.link.backlog import FRESH_NS
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.status.judge import judge
+from tests.daemon.waiting import LIMIT
 from tests.engine.conversation import cycles
 from tests.status.test_observer import Watched
 
@@ -40,7 +41,7 @@ def wire():
 async def flown(url, body):
     watched = Watched(config=ALWAYS, url=url)
     pump = asyncio.create_task(watched.link.run())
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + LIMIT
     while not watched.link.is_open:
         assert time.monotonic() < end
         await asyncio.sleep(0.002)
@@ -65,7 +66,7 @@ def test_what_a_stuck_line_throws_away_was_not_sent():
     async def body(watched):
         watched.feed(cycles(25.0))  # and the loop, which would write, does not go round
         snapshot, offered = watched.snapshot(), watched.companion.session.outbox.sent["ODOMETRY"]
-        waiting, data, end = watched.link.backlog.replaceable, b"", time.monotonic() + 60.0
+        waiting, data, end = watched.link.backlog.replaceable, b"", time.monotonic() + LIMIT
         while len(data) < watched.link.bytes_out:
             assert time.monotonic() < end
             data += read(theirs)
@@ -91,7 +92,7 @@ def test_what_had_to_wait_for_room_was_late_by_that():
         before = watched.observer.latency.count
         watched.now_ns += FRESH_NS // 2
         read(theirs)
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + LIMIT
         while watched.link.backlog.replaceable:
             assert time.monotonic() < end
             await asyncio.sleep(0.002)
