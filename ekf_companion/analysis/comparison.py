@@ -26,7 +26,7 @@ from ekf_companion.replay.filters_by_name import parse_name, run_filter
 
 Progress = Callable[[int, int], None]
 
-WARM_NS = 5_000_000_000
+WARM_NS = 2_000_000_000
 """Length of the recording that a filter processes before it is timed."""
 NEAR_NS = 100_000_000
 """Largest lead of an inertial sample's stamp over its estimate's."""

@@ -21,8 +21,21 @@ _SMALL_JACOBIAN = 1e-4
 
 def multiply(p: Array, q: Array) -> Array:
     """Return the product p q, shape (..., 4): first q's rotation, then p's."""
-    pw, px, py, pz = np.moveaxis(np.asarray(p, dtype=float), -1, 0)
-    qw, qx, qy, qz = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
+    if p.ndim == q.ndim == 1:
+        # The same products and sums; a filter in Python has one quaternion a sample
+        w, x, y, z = p.tolist()
+        a, b, c, d = q.tolist()
+        return np.array(
+            [
+                w * a - x * b - y * c - z * d,
+                w * b + x * a + y * d - z * c,
+                w * c - x * d + y * a + z * b,
+                w * d + x * c - y * b + z * a,
+            ]
+        )
+    pw, px, py, pz = np.moveaxis(p, -1, 0)
+    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
     return np.stack(
         [
             pw * qw - px * qx - py * qy - pz * qz,
@@ -42,6 +55,10 @@ def conjugate(q: Array) -> Array:
 def normalise(q: Array) -> Array:
     """Return q with unit norm and w >= 0, shape (..., 4)."""
     q = np.asarray(q, dtype=float)
+    if q.ndim == 1:
+        w, x, y, z = q.tolist()
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        return q / (-norm if w < 0.0 else norm) if norm > 0.0 else q * math.nan
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., :1] < 0.0, -q, q)
 
@@ -49,6 +66,11 @@ def normalise(q: Array) -> Array:
 def exp(phi: Array) -> Array:
     """Return the quaternion of a rotation vector, rad, shape (..., 3)."""
     phi = np.asarray(phi, dtype=float)
+    if phi.ndim == 1:
+        x, y, z = phi.tolist()
+        turn = math.sqrt(x * x + y * y + z * z)
+        s = 0.5 if turn < _SMALL else float(np.sin(0.5 * turn)) / turn
+        return np.array([np.cos(0.5 * turn), s * x, s * y, s * z])
     angle = np.linalg.norm(phi, axis=-1, keepdims=True)
     half = 0.5 * angle
     scale = np.where(angle < _SMALL, 0.5, np.sin(half) / np.where(angle < _SMALL, 1.0, angle))
@@ -58,6 +80,11 @@ def exp(phi: Array) -> Array:
 def log(q: Array) -> Array:
     """Return the rotation vector of the shorter way, rad, shape (..., 3)."""
     q = np.asarray(q, dtype=float)
+    if q.ndim == 1:
+        w, x, y, z = (-q if q[0] < 0.0 else q).tolist()
+        s = math.sqrt(x * x + y * y + z * z)
+        s = 2.0 if s < _SMALL else 2.0 * float(np.arctan2(s, w)) / s
+        return np.array([s * x, s * y, s * z])
     q = np.where(q[..., :1] < 0.0, -q, q)
     norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(norm, q[..., :1])
@@ -113,6 +140,17 @@ def right_jacobian_inverse(phi: Array) -> Array:
 
 def from_euler(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> Array:
     """Return q_nb of yaw, then pitch, then roll (z-y-x), rad."""
+    if isinstance(roll, float) and isinstance(pitch, float) and isinstance(yaw, float):
+        half = np.array([0.5 * roll, 0.5 * pitch, 0.5 * yaw])
+        (cr, cp, cy), (sr, sp, sy) = np.cos(half).tolist(), np.sin(half).tolist()
+        return np.array(
+            [
+                cr * cp * cy + sr * sp * sy,
+                sr * cp * cy - cr * sp * sy,
+                cr * sp * cy + sr * cp * sy,
+                cr * cp * sy - sr * sp * cy,
+            ]
+        )
     roll, pitch, yaw = np.broadcast_arrays(
         np.asarray(roll, dtype=float), np.asarray(pitch, dtype=float), np.asarray(yaw, dtype=float)
     )

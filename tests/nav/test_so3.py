@@ -66,3 +66,35 @@ def test_the_right_jacobian_and_its_inverse_agree_with_differences(size):
     np.testing.assert_allclose(inverse, seen, atol=1e-8)  # step 1e-5
     seen = central(lambda d: so3.log(so3.multiply(so3.exp(-phi), so3.exp(phi + d))), 3)
     np.testing.assert_allclose(np.linalg.inv(inverse), seen, atol=1e-8)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e-3, 1.0, 4.0])
+def test_one_rotation_alone_gives_the_bits_of_one_among_many(size):
+    """What is written out for one, as it is needed at each sample, computes the same."""
+    rng = np.random.default_rng(3)
+    p, q = rng.standard_normal((2, 200, 4))
+    phi = size * rng.standard_normal((200, 3))
+    angles = rng.uniform(-4.0, 4.0, (200, 3))
+    many = (
+        so3.multiply(p, q),
+        so3.normalise(p),
+        so3.exp(phi),
+        so3.log(so3.exp(phi)),
+        so3.from_euler(*angles.T),
+    )
+    for row in range(len(p)):
+        alone = (
+            so3.multiply(p[row], q[row]),
+            so3.normalise(p[row]),
+            so3.exp(phi[row]),
+            so3.log(so3.exp(phi[row])),
+            so3.from_euler(*angles[row]),
+        )
+        for one, found in zip(many, alone, strict=True):
+            assert one[row].tobytes() == found.tobytes()
+
+
+def test_a_quaternion_of_no_length_and_one_that_is_not_known_stay_unknown():
+    assert np.isnan(so3.normalise(np.zeros(4))).all()
+    assert np.isnan(so3.normalise(np.full(4, np.nan))).all()
+    assert np.isnan(so3.exp(np.array([np.nan, 0.0, 0.0]))).any()
