@@ -118,6 +118,7 @@ def test_the_lines_on_the_screen_name_each_verdict(expected):
     assert f"12 s, {whole['grade']}: " in lines([long], 10)[0]
 
 
+@pytest.mark.campaign
 def test_two_processes_give_the_rows_of_one(folder, expected, tmp_path):
     out, parquet = tmp_path / "table.csv", tmp_path / "table.parquet"
     result = CliRunner().invoke(
@@ -133,6 +134,7 @@ def test_two_processes_give_the_rows_of_one(folder, expected, tmp_path):
     assert reader.read_table(parquet).to_pylist() == expected
 
 
+@pytest.mark.campaign
 def test_killed_in_the_middle_it_goes_on_where_it_ended(folder, expected, tmp_path):
     out, journal = tmp_path / "table.csv", tmp_path / "table.csv.journal"
     command = [sys.executable, "-m", "ekf_companion", "batch", str(folder), "-o", str(out)]
@@ -307,7 +309,7 @@ def test_what_is_no_journal_is_left_alone(tmp_path, folder):
 
 def test_odd_lines_of_a_journal_are_no_rows(tmp_path, folder):
     log, journal = folder / "a0.tlog", tmp_path / "table.csv.journal"
-    (row,) = run([log], Config(), journal, Processes(1))
+    (row,) = run([log], Config(), journal, Counted())
     begin, line = journal.read_text().splitlines()
     key = json.loads(line)[0]
     for odd in (
@@ -319,4 +321,6 @@ def test_odd_lines_of_a_journal_are_no_rows(tmp_path, folder):
         '["' + "x" * 99,
     ):
         journal.write_text(f"{begin}\n{odd}\n")
-        assert run([log], Config(), journal, Processes(1)) == [row]
+        again = Counted()
+        assert run([log], Config(), journal, again) == [row]
+        assert again.asked == [log.name]

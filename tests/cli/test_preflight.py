@@ -65,6 +65,7 @@ def test_it_waits_until_the_vehicle_is_ready(tmp_path):
     assert (again.exit_code, found["ready"], found["sentence"]) == (0, True, "ready")
 
 
+@pytest.mark.campaign
 def test_a_heading_that_is_off_over_the_wire_is_exit_code_5(tmp_path):
     with standing(tmp_path, "own-estimate:heading=90") as url:
         command = [sys.executable, "-W", "error", "-m", "ekf_companion", "preflight", "--url", url]
@@ -82,6 +83,7 @@ def test_a_heading_that_is_off_over_the_wire_is_exit_code_5(tmp_path):
     assert all(line.endswith(" (waiting)") for line in waited)
 
 
+@pytest.mark.campaign
 def test_in_the_air_it_says_so_and_waits_for_nothing(tmp_path):
     with beside(tmp_path, plan(600.0, boot=20.0, skip=10.0)) as url:
         command = [sys.executable, "-W", "error", "-m", "ekf_companion", "preflight", "--url", url]

@@ -658,6 +658,7 @@ def wired(tmp_path_factory):
     return Wired(record, first, second, code, words)
 
 
+@pytest.mark.campaign
 def test_a_serial_line_carries_the_flight(wired):
     heard = [unpack(f).time_usec for f in wired.first.frames() if f.message_id == ODOMETRY]
     assert len(heard) > 100
@@ -669,17 +670,20 @@ def test_a_serial_line_carries_the_flight(wired):
     assert wired.code == 0
 
 
+@pytest.mark.campaign
 def test_a_serial_line_that_was_unplugged_is_taken_up_again(wired):
     heard = [unpack(f).time_usec for f in wired.second.frames() if f.message_id == ODOMETRY]
     assert heard
     assert wired.words.count(": open") == 2
 
 
+@pytest.mark.campaign
 def test_the_serial_recording_gives_the_same_estimates(wired):
     """Rule 38: live is replay, to the bit."""
     assert len(assert_same_as_its_estimates(wired.record)) > 200
 
 
+@pytest.mark.campaign
 def test_the_serial_recording_gives_the_same_messages(wired):
     """Rule 38: live is replay, to the bit."""
     assert_same_as_its_messages(wired.record)

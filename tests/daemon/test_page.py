@@ -199,6 +199,7 @@ def test_on_a_phone_everything_is_on_the_screen_and_times_of_day_have_their_hour
         assert tab.errors == []
 
 
+@pytest.mark.campaign
 def test_a_compass_that_is_refused_is_on_the_page_and_in_its_events(tmp_path, ports):
     magnet = "mag-disturbance:start=4,duration=600,forward=0.3"
     flight = flying(f"udpout:127.0.0.1:{ports[0]}", magnet)

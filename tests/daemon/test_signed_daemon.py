@@ -109,6 +109,7 @@ def test_the_daemon_hears_who_knows_the_secret_and_nobody_twice(setup):
     assert KEY.hex() not in words
 
 
+@pytest.mark.campaign
 def test_who_does_not_know_the_secret_is_not_answered_before_the_autopilot_speaks(setup):
     """A telemetry radio signs nothing, and its status is let in: it says not where to send."""
     folder, config, port, options = setup
