@@ -26,6 +26,7 @@ from ekf_companion.logs.dataflash_tables import (
     names_of,
     rows_of,
 )
+from ekf_companion.logs.dataflash_text import text_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import CUT, Recording, cut_short
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
@@ -120,6 +121,8 @@ def read(path: Path) -> Recording:
     refused = len(tables.get("GPS", ())) - (len(fixes) if fixes else 0)
     if refused:
         notes.append(f"{refused} GPS rows without a 3-D fix were left out")
+    unstamped = tables.get("MSG")
+    message_ns = np.zeros(0, np.int64) if unstamped is None else _stamps_by_place(stored, unstamped)
     return Recording(
         family="ardupilot",
         events=events,
@@ -130,6 +133,7 @@ def read(path: Path) -> Recording:
         damage=damage,
         began_s=_began_s(stored, _utc_zero_ns(tables)),
         utc_zero_ns=_utc_zero_ns(tables),
+        onboard=text_of(tables, message_ns),
     )
 
 

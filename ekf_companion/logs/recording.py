@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_companion.errors import LogError
+from ekf_companion.logs.onboard import Onboard
 from ekf_companion.nav.arrays import Mask, Stamps
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
@@ -98,6 +99,8 @@ class Recording:
     """When the recording began, s since 1970, UTC; None: the log does not say."""
     utc_zero_ns: int | None = None
     """UTC at which the autopilot's clock was zero, ns since 1970; None: the log does not say."""
+    onboard: Onboard = field(default_factory=Onboard)
+    """What the autopilot wrote of itself."""
     zero_height: float = 0.0
     """Altitude at which the heights of the file are zero, where its place is made up, m."""
 

@@ -106,6 +106,15 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
     return has_stamp, t_ns[at[has_stamp]]
 
 
+def boot_clock(log: Tlog) -> tuple[Stamps, Stamps]:
+    """Return the boot time of some records of the longest boot, ns, and their numbers before it.
+
+    Between two of them a tenth of a second passes or less; both are empty where none tells it.
+    """
+    tables = [*_tables(log, (), {}).values()]
+    return _clock(tables) if tables else (np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
 def utc_zero_ns(log: Tlog) -> int | None:
     """Return the UTC at which the autopilot's clock was zero, ns, by that of the recorder.
 

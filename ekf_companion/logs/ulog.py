@@ -139,6 +139,7 @@ def read(path: Path) -> Recording:
         damage=_damage(log, stored),
         began_s=_began_s(stored, _utc_zero_ns(topics)),
         utc_zero_ns=_utc_zero_ns(topics),
+        onboard=log.onboard(),
     )
 
 

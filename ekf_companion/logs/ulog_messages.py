@@ -22,6 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import ulog_search
+from ekf_companion.logs.onboard import MOST, Message, Onboard, clean, level_of, onboard
 from ekf_companion.logs.source import MappedFile
 from ekf_companion.logs.stored_rows import StoredRows
 
@@ -40,6 +41,8 @@ AT_ONCE = 1 << 16
 """Messages that are searched at once."""
 MOST_DEFINITIONS = 1 << 16
 """Formats, parameters and subscriptions; beyond, they are damage."""
+LATEST_US = 1 << 52
+"""A stamp beyond it, 140 years after the start, is damaged."""
 DEEPEST = 16
 """Formats within a format."""
 _TYPES = {
@@ -47,7 +50,10 @@ _TYPES = {
 }
 _TYPES |= {"float": "<f4", "double": "<f8", "bool": "i1", "char": "i1"}
 """Numpy's codes of the basic types."""
+INFORMATION = ("sys_name", "ver_hw", "ver_sw", "ver_sw_release")
+"""What is kept of what a log says of its autopilot: the hash of the firmware's source is ver_sw."""
 _ids = Struct("<BH").unpack_from
+_text = Struct("<HxBQ").unpack_from
 _offsets = Struct("<8x8B3Q").unpack_from
 _VALUES = {"int32_t": Struct("<i"), "float": Struct("<f")}
 """Types of a parameter."""
@@ -70,6 +76,12 @@ class Messages:
     """In the order of their subscriptions, without those of no row."""
     parameters: dict[str, float] = field(default_factory=dict)
     """As they were when the log began."""
+    information: dict[str, bytes] = field(default_factory=dict)
+    """Values by name: of the firmware, as ``INFORMATION`` names them."""
+    texts: list[Message] = field(default_factory=list)
+    """The first lines that were logged."""
+    more_texts: int = 0
+    """Lines behind these."""
     dropouts: tuple[float, ...] = ()
     """Lengths of the gaps while the log was written, s."""
     is_damaged: bool = False
@@ -79,6 +91,17 @@ class Messages:
     """Bytes at the end that are no whole message."""
     notes: tuple[str, ...] = ()
     """What is to be said of the file itself."""
+
+    def onboard(self) -> Onboard:
+        """Return what the autopilot wrote of itself."""
+        known = self.information
+        words = [clean(known.get(name, b"")) for name in ("sys_name", "ver_hw")]
+        if len(release := known.get("ver_sw_release", b"")) == 4:
+            # A byte each of major, minor, patch, and 255 for a release, less before it
+            last, patch, minor, major = release
+            words.insert(1, f"{major}.{minor}.{patch}{'' if last == 255 else ' (not a release)'}")
+        words.append(clean(known.get("ver_sw", b""))[:10])
+        return onboard(self.texts, self.parameters, " ".join(filter(None, words)), self.more_texts)
 
 
 class _Layout(NamedTuple):
@@ -152,10 +175,13 @@ class _Reader:
         place = HEADER
         while True:
             kind, place = ulog_search.find_definition(self._data, place, self._state)
-            if kind not in b"FPB" or kind == 0:
+            if kind not in b"FPBI" or kind == 0:
                 return place
             content, place = self._message(place)
-            take = {70: self._take_format, 80: self._take_parameter, 66: self._take_flags}[kind]
+            take = {
+                **{70: self._take_format, 80: self._take_parameter, 66: self._take_flags},
+                73: self._take_information,
+            }[kind]
             try:
                 take(content)
             except (LookupError, ValueError):
@@ -199,6 +225,20 @@ class _Reader:
             self._found.parameters[name] = _VALUES[kind].unpack(content[after:])[0]
         else:
             self._found.is_damaged = True
+
+    def _take_information(self, content: bytes) -> None:
+        """Keep the value of ``TYPE NAME``, as bytes, where it is of use."""
+        after = 1 + (content[0] if content else 0)
+        name = content[1:after].partition(b" ")[2].decode("utf-8", "ignore")
+        if name in INFORMATION:
+            self._found.information[name] = content[after:]
+
+    def _take_text(self, place: int) -> None:
+        """Keep a line: its level is a digit, as that of syslog."""
+        size, level, stamp_us = _text(self._data, place)
+        text = clean(bytes(self._data[place + 12 : place + 3 + size]))
+        t_ns = stamp_us * 1000 if stamp_us < LATEST_US else None
+        self._found.texts.append(Message(t_ns, level_of(level - ord("0")), text))
 
     def _take_flags(self, content: bytes) -> None:
         """Take what says how to read the file.
@@ -249,7 +289,13 @@ class _Reader:
             for name in layout.kept.names or ():
                 rows[name] = whole[name]
             self._rows[number].append(rows)
-        for place in found[~is_row, 0].tolist():
+        is_text = found[:, 1] == -2
+        room = max(MOST - len(self._found.texts), 0)
+        texts = found[is_text, 0]
+        self._found.more_texts += max(len(texts) - room, 0)
+        for place in texts[:room].tolist():
+            self._take_text(place)
+        for place in found[~is_row & ~is_text, 0].tolist():
             self._dropouts.append(int.from_bytes(self._data[place : place + 2], "little"))
 
     def _subscribe(self, content: bytes) -> None:

@@ -45,17 +45,18 @@ def find_definition(data: memoryview, place: int, state: array[int]) -> tuple[in
             ``find_data`` takes it.
 
     Returns:
-        Its kind, that of the first logged text too; 0 if none is left. And its place.
+        Its kind, that of an information and of the first logged text too; 0 if none is left. And
+        its place.
     """
     end = len(data)
     while place + 3 <= end:
         size, kind = size_of(data, place), data[place + 2]
         is_first_of_data = kind in (SUBSCRIPTION, TEXT, TEXT_TAGGED)
-        if is_first_of_data or kind in (FORMAT, FLAGS, PARAMETER):
+        if is_first_of_data or kind in (FORMAT, FLAGS, PARAMETER, INFORMATION):
             if place + 3 + size > end:
                 break
             return kind, place
-        is_known = kind in (INFORMATION, INFORMATION_MULTIPLE, PARAMETER_DEFAULT)
+        is_known = kind in (INFORMATION_MULTIPLE, PARAMETER_DEFAULT)
         if not is_known and (kind == 0 or size == 0 or size > LARGEST):
             state[1] = 1
             place += 1
@@ -82,7 +83,7 @@ def find_data(
             id; -1: it is not wanted, 0: the id is not known; shape (65536, 2).
         state: Of ``find_definition``.
         found: Receives the place behind the id, and the id, of each wanted message; of a dropout
-            the place behind its header, and -1; shape (m, 2).
+            the place behind its header, and -1; of a logged text its place, and -2; shape (m, 2).
 
     Returns:
         The number of messages found, the kind of the message that ended the search, and its place:
@@ -114,6 +115,12 @@ def find_data(
                 return n, kind, place
             found[n, 0] = place + 3
             found[n, 1] = -1
+            n += 1
+        elif kind == TEXT and size >= 9:
+            if n == len(found):
+                return n, kind, place
+            found[n, 0] = place
+            found[n, 1] = -2
             n += 1
         elif not is_known:
             if kind == 0 or size == 0 or size > LARGEST:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from ekf_companion.errors import LogError
 from ekf_companion.logs.content import check_suffix
 from ekf_companion.logs.estimate import OWN, is_estimate
+from ekf_companion.logs.onboard import Onboard
 from ekf_companion.logs.recording import CLOCK_SET_S, LATEST_S, Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
@@ -77,6 +78,15 @@ def truth(log: Log) -> Trajectory | None:
     from ekf_companion.logs import tlog_trajectory
 
     return tlog_trajectory.truth(log)
+
+
+def onboard(log: Log) -> Onboard:
+    """Return firmware, parameters and messages, as far as a log holds them."""
+    if isinstance(log, Recording):
+        return log.onboard
+    from ekf_companion.logs import tlog_text
+
+    return tlog_text.read(log)
 
 
 def utc_zero_ns(log: Log) -> int | None:

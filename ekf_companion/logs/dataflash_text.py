@@ -1,0 +1,43 @@
+"""Firmware, parameters and messages of a DataFlash log (.bin).
+
+Source: ArduPilot libraries/AP_Logger/LogStructure.h (PARM, MSG).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_companion.logs.dataflash_tables import Columns, boot_ns, names_of
+from ekf_companion.logs.onboard import MOST, Message, Onboard, clean, onboard
+from ekf_companion.logs.stored_rows import Column
+from ekf_companion.nav.arrays import Stamps
+
+
+def text_of(tables: Columns, message_ns: Stamps) -> Onboard:
+    """Return what the autopilot wrote of itself.
+
+    Args:
+        tables: By the name of the message.
+        message_ns: Of the rows of MSG that have no stamp of their own.
+    """
+    rows = tables.get("MSG")
+    if rows is None or "Message" not in names_of(rows) or rows["Message"].dtype.kind != "S":
+        return onboard((), _parameters(tables.get("PARM")))
+    own_ns = boot_ns(rows)
+    stamps = (message_ns if own_ns is None else own_ns).tolist()
+    stamps += [None] * (len(rows) - len(stamps))
+    # ArduPilot's rows have no severity
+    told = [
+        Message(t_ns, "", clean(text))
+        for t_ns, text in zip(stamps, rows["Message"][:MOST].tolist(), strict=False)
+    ]
+    return onboard(told, _parameters(tables.get("PARM")), left_out=max(len(rows) - MOST, 0))
+
+
+def _parameters(rows: Column | None) -> dict[str, float]:
+    """Return the first value of each parameter."""
+    if rows is None or "Name" not in names_of(rows) or rows["Name"].dtype.kind != "S":
+        return {}
+    names, first = np.unique(rows["Name"], return_index=True)
+    values = rows["Value"][first].astype(float).tolist()
+    return {clean(name): value for name, value in zip(names.tolist(), values, strict=True)}
