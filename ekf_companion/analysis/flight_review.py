@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ekf_companion.analysis.flight_numbers import Numbers, numbers
 from ekf_companion.analysis.judgement import judge_log, take_truth
+from ekf_companion.analysis.status_bands import Band, bands
 from ekf_companion.config.config import Config
+from ekf_companion.config.keys import KEYS, value_of
 from ekf_companion.core.from_settings import delays_ns
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.logs.estimate import of_table
+from ekf_companion.logs.onboard import Onboard
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
+from ekf_companion.replay.log_source import onboard
 from ekf_companion.replay.report import Report
 from ekf_companion.replay.run import Block, Progress, Run
 from ekf_companion.replay.stretches import Stretches, of_events
@@ -67,6 +73,14 @@ class FlightReview:
     innovations: Innovations | None
     looks: tuple[Look, ...]
     spectra: Spectra | None
+    numbers: Numbers
+    bands: tuple[Band, ...]
+    jumps_ns: tuple[int, ...]
+    """When the estimate was reset: there it jumped."""
+    onboard: Onboard
+    """Its stamps are on the clock of the estimates, that of the longest stretch."""
+    settings: Mapping[str, str]
+    """Those of the estimator that are not the defaults."""
     begins_ns: tuple[int, ...] = ()
     """Where the autopilot's clock began anew: all stamps are on one that runs on there."""
     began_s: float | None = None
@@ -88,6 +102,12 @@ class FlightReview:
             "reasons": list(judgement.reasons),
             "remarks": list(judgement.aside),
             "compared_with": [one.name for one in self.others],
+            **self.numbers.to_dict(),
+            "firmware": self.onboard.firmware,
+            "bands": [
+                {"name": one.name, "spans_s": [[t * 1e-9 for t in span] for span in one.spans_ns]}
+                for one in self.bands
+            ],
             **self.report.to_dict(),
         }
 
@@ -118,8 +138,9 @@ def review(
     shifts_ns = stretches.shifts_ns()
     table, events = _on_one_clock(blocks, shifts_ns)
     zero = run.log.zero_height if isinstance(run.log, Recording) else 0.0
-    others = [one for one in (report.truth, report.own) if one is not None]
+    known = [one for one in (report.truth, report.own) if one is not None]
     shift_ns = int(shifts_ns[stretches.longest])
+    others = tuple(_moved(one, shift_ns, zero) for one in known)
     pipelines = run.pipelines
     looks = [look for pipeline in pipelines for look in pipeline.looks]
     family = pipelines[-1].family if pipelines else "unknown"
@@ -131,11 +152,16 @@ def review(
         report=report,
         table=table,
         ours=_moved(of_table(table, "ekf-companion"), 0, zero),
-        others=tuple(_moved(one, shift_ns, zero) for one in others),
+        others=others,
         fixes=fixes,
         innovations=_innovations(table, fixes, late_ns),
         looks=tuple(_looks_on_one_clock(looks, shifts_ns)),
         spectra=_spectra(events),
+        numbers=numbers(table, [_moved(one, 0, -zero) for one in others], events),
+        bands=bands(table),
+        jumps_ns=tuple(table.stamp_ns[1:][np.diff(table.column("reset_count")) != 0.0].tolist()),
+        onboard=_on_drawn_clock(onboard(run.log), shift_ns),
+        settings=_changed(config),
         begins_ns=tuple(
             one.first_ns + int(shift)
             for one, shift in zip(stretches.found[1:], shifts_ns[1:], strict=True)
@@ -143,6 +169,26 @@ def review(
         began_s=run.log.began_s,
         has_sea_level=zero == 0.0,
     )
+
+
+def _changed(config: Config) -> dict[str, str]:
+    """Return the settings of the estimator that are not the defaults."""
+    usual = Config()
+    sections = {field.name for field in fields(FilterSettings)}
+    return {
+        name: str(value_of(config, name))
+        for name in KEYS
+        if name.partition(".")[0] in sections and value_of(config, name) != value_of(usual, name)
+    }
+
+
+def _on_drawn_clock(found: Onboard, later_ns: int) -> Onboard:
+    """Return what the autopilot wrote, with stamps that are so much later."""
+    moved = [
+        one if one.t_ns is None else one._replace(t_ns=one.t_ns + later_ns)
+        for one in found.messages
+    ]
+    return replace(found, messages=tuple(moved))
 
 
 def _on_one_clock(blocks: Sequence[Block], shifts_ns: Stamps) -> tuple[Table, Events]:

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from ekf_companion.analysis import report_tables
 from ekf_companion.analysis.flight_review import FlightReview
-from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, broken, place_legend
+from ekf_companion.analysis.gaps import parted, thinned
+from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, place_legend
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.errors import part_of
 from ekf_companion.logs.recording import LATEST_S
@@ -23,7 +25,7 @@ from ekf_companion.logs.writer import create
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.state import EULER, Status, Table, Trajectory
+from ekf_companion.nav.state import EULER, Status, Trajectory
 from ekf_companion.replay.report import summary
 
 _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
@@ -34,6 +36,16 @@ _REFUSED = {
     Verdict.DISTURBED: "not used as the magnetic field is disturbed, per second",
 }
 """Titles of the charts of what was refused, by why."""
+_BANDS: dict[Status | None, str] = {
+    **dict.fromkeys((Status.INIT, Status.ALIGNING), "#aab7b8"),
+    Status.ATTITUDE: "#5dade2",
+    Status.OK: "#52be80",
+    Status.DEGRADED: "#f5b041",
+    Status.DEAD_RECKONING: "#dc7633",
+    Status.INVALID: "#c0392b",
+    None: "#566573",
+}
+"""Colours of the statuses; of a time without estimates."""
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 1.2em auto; max-width: 1340px; padding: 0 1em;
        color: #1c2833; background: #fdfefe; }
@@ -89,12 +101,18 @@ def page(review: FlightReview) -> str:
         MissingPackageError: Bokeh is not installed.
     """
     with part_of("report", "report"):
+        from bokeh.document import Document
         from bokeh.embed import components
         from bokeh.resources import Resources
     stamp_ns = review.table.stamp_ns
     sheet = Sheet(int(stamp_ns[0]), review.begins_ns, int(stamp_ns[-1]))
     sections = _sections(review, sheet)
     figures = [one for _, plots in sections for one in plots]
+    # Of one document, which is searched for models once, not again for each figure
+    document = Document()
+    with document.models.freeze():
+        for one in figures:
+            document.add_root(one)
     script, places = components(figures)
     waiting = iter(places)
     body = [
@@ -112,12 +130,31 @@ def page(review: FlightReview) -> str:
     return (
         "<!doctype html><html lang=en><head><meta charset=utf-8>"
         '<meta name=viewport content="width=device-width, initial-scale=1">'
-        f"<title>{escape(review.name)}: {escape(judgement.grade)}</title><style>{_STYLE}</style>"
+        f"<title>{escape(review.name)}: {escape(judgement.grade)}</title>"
+        f"<style>{_STYLE}{report_tables.STYLE}</style>"
         f"{resources.render_js()}</head><body><h1>{escape(review.name)}</h1>"
         f"<p class=when>{escape(_when(review))}</p>"
         f"<div class='verdict {grade}'>{escape(judgement.sentence)}</div>"
-        f"{button}{''.join(body)}<h2>What was found, used and refused</h2><pre>{escape(text)}</pre>"
+        f"{report_tables.head(review)}{button}{''.join(body)}{_tables(review, sheet)}"
+        f"<h2>What was found, used and refused</h2><pre>{escape(text)}</pre>"
         f"{script}<script>{own_script}</script></body></html>"
+    )
+
+
+def _tables(review: FlightReview, sheet: Sheet) -> str:
+    """Return the tables below the figures, each with its heading."""
+    return "".join(
+        report_tables.title(title) + table
+        for title, table in (
+            (
+                "Vibration and clipping",
+                report_tables.vibration(review.numbers.vibration, sheet.second),
+            ),
+            ("Version and settings", report_tables.settings(review)),
+            ("Parameters", report_tables.parameters(review.onboard)),
+            ("Messages of the log", report_tables.messages(review.onboard, sheet.second)),
+        )
+        if table
     )
 
 
@@ -156,6 +193,7 @@ def _short(name: str) -> str:
 
 def _sections(review: FlightReview, sheet: Sheet) -> list[tuple[str, list[Any]]]:
     return [
+        ("Status, and why", _bands(review, sheet)),
         ("Track, height, velocity", [*_track(review, sheet), *_motion(review, sheet)]),
         ("Attitude", _attitude(_coloured(review), sheet)),
         (
@@ -166,6 +204,15 @@ def _sections(review: FlightReview, sheet: Sheet) -> list[tuple[str, list[Any]]]
         ("Biases and sigmas", _biases(review, sheet)),
         ("Spectra of the inertial samples", _spectra(review, sheet)),
     ]
+
+
+def _bands(review: FlightReview, sheet: Sheet) -> list[Any]:
+    """Return a figure of the statuses, and of their reasons below them."""
+    rows = [
+        (words, _BANDS[one.status], one.spans_ns)
+        for one, words in zip(review.bands, report_tables.band_words(review.bands), strict=True)
+    ]
+    return [sheet.bands("status over time", rows)] if rows else []
 
 
 def _coloured(review: FlightReview) -> list[tuple[Trajectory, str]]:
@@ -193,10 +240,10 @@ def _track(review: FlightReview, sheet: Sheet) -> list[Any]:
         )
     tracks = []
     for one, colour in reversed(placed):
-        some = slice(None, None, -(-len(one.pos_t_ns) // POINTS))
-        ned = frame.to_ned(one.lat[some], one.lon[some], np.nan_to_num(one.alt[some]))
+        rows, is_end = thinned(one.pos_t_ns, POINTS, review.jumps_ns if one is review.ours else ())
+        ned = frame.to_ned(one.lat[rows], one.lon[rows], np.nan_to_num(one.alt[rows]))
         tracks.append(ned)
-        _, north, east = broken(sheet.seconds(one.pos_t_ns[some]), ned[:, 0], ned[:, 1])
+        north, east = parted(is_end, ned[:, 0], ned[:, 1])
         plot.line(east, north, line_color=colour, line_width=1.6, legend_label=_short(one.name))
     sheet.limit_map(plot, tracks)
     place_legend(plot)
@@ -286,7 +333,7 @@ def _biases(review: FlightReview, sheet: Sheet) -> list[Any]:
 
     def group(title: str, unit: str, names: Sequence[str], scale: float = 1.0) -> list[Any]:
         series = [
-            (name, table.stamp_ns, table.column(name) * scale, colour)
+            (name.rpartition("_")[2], table.stamp_ns, table.column(name) * scale, colour)
             for name, colour in zip(names, _AXIS_COLOURS, strict=True)
         ]
         return sheet.lines(title, unit, series)
@@ -298,16 +345,7 @@ def _biases(review: FlightReview, sheet: Sheet) -> list[Any]:
         *group("accelerometer bias", "m/s2", [f"accel_bias_{axis}" for axis in axes]),
         *group("one sigma of position", "m", [f"sd_pos_{part}" for part in parts]),
         *group("one sigma of attitude", "deg", [f"sd_{name}" for name in EULER], degrees),
-        _status(table, sheet),
     ]
-
-
-def _status(table: Table, sheet: Sheet) -> Any:
-    """Return a figure of the status, with all values that there are: none is a peak to cut off."""
-    title = "status (3 ok, 4 degraded, 5 without GNSS, 6 invalid)"
-    plot = sheet.figure(title, "", y_range=(-0.3, max(Status) + 0.3))
-    sheet.line(plot, table.stamp_ns, table.column("status"), line_color="#2874a6")
-    return plot
 
 
 def _spectra(review: FlightReview, sheet: Sheet) -> list[Any]:

@@ -7,11 +7,12 @@ on the page shows all.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from ekf_companion.analysis.gaps import broken
+from ekf_companion.analysis.status_bands import joined
 from ekf_companion.nav.arrays import Array, Stamps
 
 POINTS = 1500
@@ -28,16 +29,19 @@ LEAP = 20.0
 """Times the distance between the quartiles of a track."""
 HEIGHT, TALL = 280, 400
 """Pixels of a figure over time, and of a map; as wide as the column of the page."""
+BAND = 34
+"""Pixels of a row of bands, with its name."""
+AXIS = 45
+"""Pixels that an upward axis takes beside a figure with usual numbers."""
 ROWS, ROW, LABEL = 12, 12, 0.3
 """Rows of labels, the height of one in pixels, and a label's width, a share of a phone's figure."""
 _CONSTANT = 1e-8
 """Twice as wide as what is shown of a constant at least."""
-_GAP_S = 2.0
-_GAP_STEPS = 5.0
-"""A line is not drawn over steps longer than that, nor than so many of its usual ones."""
 
 Line = tuple[str, Stamps, Array, str]
 """Name, stamps (ns), values, colour."""
+Bands = tuple[str, str, Sequence[tuple[int, int]]]
+"""Name, colour, and from when to when, ns."""
 Span = tuple[float, float]
 
 
@@ -45,25 +49,19 @@ def thin(x: Array, y: Array) -> tuple[Array, Array]:
     """Return a line with few points that has the same outline: the extremes of each piece."""
     if len(x) <= POINTS:
         return x.astype(np.float32), y.astype(np.float32)
-    edges = np.linspace(0, len(x), POINTS // 2 + 1).astype(int)
-    kept: list[int] = []
-    for begin, end in pairwise(edges.tolist()):
-        piece = y[begin:end]
-        unknown = ~np.isfinite(piece)
-        found = {begin + int(np.argmax(unknown))} if unknown.any() else set()
-        if not unknown.all():
-            found |= {begin + int(np.nanargmin(piece)), begin + int(np.nanargmax(piece))}
-        kept += sorted(found)
+    # Pieces of one length, as rows: the last one is filled up with its last value
+    pieces = POINTS // 2
+    length = -(-len(x) // pieces)
+    piece = np.concatenate([y, np.full(pieces * length - len(y), y[-1])]).reshape(pieces, length)
+    is_known = np.isfinite(piece)
+    first = np.arange(0, pieces * length, length)
+    has_gap, has_value = ~is_known.all(axis=1), is_known.any(axis=1)
+    found = [(first + np.argmin(is_known, axis=1))[has_gap]]
+    for extreme, other in ((np.argmin, np.inf), (np.argmax, -np.inf)):
+        found.append((first + extreme(np.where(is_known, piece, other), axis=1))[has_value])
+    kept = np.unique(np.concatenate(found))
+    kept = kept[kept < len(x)]
     return x[kept].astype(np.float32), y[kept].astype(np.float32)
-
-
-def broken(x: Array, *columns: Array) -> tuple[Array, ...]:
-    """Return a line with a NaN in each gap of its ascending times, s."""
-    steps = np.diff(x)
-    if not len(steps):
-        return x, *columns
-    gaps = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps)))) + 1
-    return np.insert(x, gaps, x[gaps - 1]), *(np.insert(one, gaps, np.nan) for one in columns)
 
 
 def usual_span(series: Iterable[Array]) -> tuple[Span, Span] | None:
@@ -144,6 +142,10 @@ class Sheet:
         """Return stamps as the time axis shows them, s."""
         return np.asarray((t_ns - self._zero_ns) * 1e-9)
 
+    def second(self, t_ns: int) -> float:
+        """Return one stamp as the time axis shows it, s."""
+        return (t_ns - self._zero_ns) * 1e-9
+
     def figure(self, title: str, unit: str, *, across: str = "time, s", **options: Any) -> Any:
         """Return an empty figure."""
         from bokeh.plotting import figure
@@ -182,11 +184,39 @@ class Sheet:
 
         With dots, of so many pixels, a value that stands alone between two gaps is seen too.
         """
-        x, y = thin(*broken(self.seconds(t_ns), np.asarray(values, dtype=float)))
+        x, y = thin(*broken(t_ns, self.seconds(t_ns), np.asarray(values, dtype=float)))
         drawn = plot.line(x, y, **{"line_width": 1.4, **look})
         if dots:
             colour = look["line_color"]
             plot.scatter("x", "y", source=drawn.data_source, size=dots, color=colour)
+
+    def bands(self, title: str, rows: Sequence[Bands]) -> Any:
+        """Return a figure of bands over time, a row below the other, its name above each."""
+        from bokeh.models import Label
+
+        height = BAND * len(rows) + 90
+        plot = self.figure(title, "", y_range=(-len(rows) - 0.1, 0.1), height=height)
+        plot.yaxis.visible, plot.ygrid.visible = False, False
+        plot.min_border_left = AXIS
+        least_ns = round(self.span * 1e9 / POINTS)
+        drawn: dict[str, list[Any]] = {name: [] for name in ("left", "right", "top", "what", "c")}
+        for at, (name, colour, spans_ns) in enumerate(rows):
+            spans = joined(spans_ns, least_ns)
+            # A moment that is narrower than a pixel is seen, too
+            drawn["left"] += [self.second(begin) for begin, _ in spans]
+            drawn["right"] += [self.second(max(end, begin + least_ns)) for begin, end in spans]
+            drawn["top"] += [-at - 0.5] * len(spans)
+            drawn["what"] += [name] * len(spans)
+            drawn["c"] += [colour] * len(spans)
+            words = {"text": name, "text_font_size": "9pt", "text_baseline": "top"}
+            plot.add_layout(Label(x=4, x_units="screen", y=-at - 0.05, **words))
+        drawn["bottom"] = [top - 0.42 for top in drawn["top"]]
+        plot.quad(
+            **{side: side for side in ("left", "right", "top", "bottom")},
+            **{"source": drawn, "fill_color": "c", "line_color": "c"},
+        )
+        plot.hover.tooltips = [("", "@what"), ("s", "@left{0.0} to @right{0.0}")]
+        return plot
 
     def mark(self, plot: Any, marks: Sequence[tuple[int, str]]) -> None:
         """Draw upright lines at ascending stamps, with words, of which none covers another."""
@@ -257,6 +287,7 @@ def place_legend(plot: Any) -> None:
     legend = plot.legend[0]
     legend.click_policy, legend.orientation = "hide", "horizontal"
     legend.ncols = 3
+    legend.items = legend.items[::-1]  # ours, which is drawn last, first
     legend.label_text_font_size, legend.border_line_alpha, legend.padding = "9pt", 0.0, 0
     legend.margin, legend.spacing, legend.location = 0, 8, "top_left"
     plot.add_layout(legend, "below")

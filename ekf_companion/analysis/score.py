@@ -81,7 +81,7 @@ class Score:
             "lag_s": self.lag,
             "horizontal_without_lag_m": self.horizontal_without_lag,
         }
-        for name, unit, scale in _ROWS:
+        for name, unit, scale in ROWS:
             spread: Spread | None = getattr(self, name)
             flat[f"{name}_{unit}"] = spread and {
                 "count": spread.count,
@@ -93,7 +93,7 @@ class Score:
 
 
 _DEGREES = float(np.rad2deg(1.0))
-_ROWS = (
+ROWS = (
     ("horizontal", "m", 1.0),
     ("vertical", "m", 1.0),
     ("vertical_about_mean", "m", 1.0),
@@ -104,6 +104,7 @@ _ROWS = (
     ("pitch", "deg", _DEGREES),
     ("yaw", "deg", _DEGREES),
 )
+"""Names of the spreads of a score, units as a key of JSON has them, and what they are in these."""
 
 
 def score(
@@ -158,7 +159,7 @@ def score(
         vertical_mean=mean,
         lag=lag,
         horizontal_without_lag=best,
-        **{name: _spread(errors.get(name)) for name, _, _ in _ROWS},
+        **{name: _spread(errors.get(name)) for name, _, _ in ROWS},
     )
 
 
@@ -221,7 +222,7 @@ def table(scores: Sequence[Score]) -> list[str]:
         lines.append(f"[{number}] {start:.1f} to {end:.1f} s ({end - start:.1f} s)")
     head = "".join(f" | {f'[{number}] RMS':>10} {'95 %':>8} {'max':>8}" for number, _ in numbered)
     lines += ["", f"{'':<26}{head}", "-" * (26 + len(head))]
-    for name, unit, scale in _ROWS:
+    for name, unit, scale in ROWS:
         cells = ""
         for one in scores:
             spread: Spread | None = getattr(one, name)

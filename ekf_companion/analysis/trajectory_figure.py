@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.analysis import difference, figure_file
-from ekf_companion.analysis.report_sheet import broken
+from ekf_companion.analysis.gaps import parted, thinned
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
@@ -68,11 +68,13 @@ def plot(
     *,
     events: Events | None = None,
     with_errors: bool = False,
+    jumps_ns: Sequence[int] = (),
 ) -> None:
     """Draw trajectories over each other into a PNG, PDF or SVG file, the reference last.
 
     North and east are from the first position of the last trajectory that has one. The fixes among
     the events are drawn as points; a further column shows the distance of each from the last.
+    No line is drawn through a gap, nor is the first one's track where it jumped.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.
@@ -97,7 +99,7 @@ def plot(
                 "zorder": 20 - index,
                 "label": one.name,
             }
-            _draw(axes, one, scale, look)
+            _draw(axes, one, scale, look, jumps_ns if index == 0 else ())
             if with_errors and one is not trajectories[-1]:
                 _draw_errors(axes, one, trajectories[-1], scale, look)
         if "track" in axes:
@@ -122,35 +124,45 @@ def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
     axes["speed"].plot(seconds, np.where(is_whole, speed, np.nan), **_FIXES)
 
 
-def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, Any]) -> None:
+def _draw(
+    axes: dict[str, Any],
+    one: Trajectory,
+    scale: _Scale,
+    look: dict[str, Any],
+    jumps_ns: Sequence[int],
+) -> None:
     if scale.frame is not None and len(one.pos_t_ns):
-        some = _some(one.pos_t_ns)
-        ned = scale.frame.to_ned(one.lat[some], one.lon[some], one.alt[some])
-        seconds = scale.seconds(one.pos_t_ns[some])
-        seconds, north, east, alt = broken(seconds, ned[:, 0], ned[:, 1], one.alt[some])
-        axes["track"].plot(east, north, **look)
-        axes["altitude"].plot(seconds, alt, **look)
+        rows, is_end = thinned(one.pos_t_ns, POINTS, jumps_ns)
+        ned = scale.frame.to_ned(one.lat[rows], one.lon[rows], one.alt[rows])
+        axes["track"].plot(*parted(is_end, ned[:, 1], ned[:, 0]), **look)
+        _draw_line(axes["altitude"], one.pos_t_ns, one.alt, scale, look)
     if "speed" in axes:
-        some = _some(one.vel_t_ns)
-        speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
-        axes["speed"].plot(*broken(scale.seconds(one.vel_t_ns[some]), speed), **look)
-    some = _some(one.att_t_ns)
-    angles = np.rad2deg(so3.to_euler(one.q_nb[some]))
+        speed = np.linalg.norm(np.nan_to_num(one.vel_n), axis=1)
+        _draw_line(axes["speed"], one.vel_t_ns, speed, scale, look)
+    angles = np.rad2deg(so3.to_euler(one.q_nb))
     for column, name in enumerate(EULER):
         # No line across the panel where an angle goes from 180 to -180 degrees
-        turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)
+        turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)[: len(angles)]
         shown = np.where(turned, np.nan, angles[:, column])
-        axes[name].plot(*broken(scale.seconds(one.att_t_ns[some]), shown), **look)
+        _draw_line(axes[name], one.att_t_ns, shown, scale, look)
+
+
+def _draw_line(
+    panel: Any, t_ns: Stamps, values: Array, scale: _Scale, look: dict[str, Any]
+) -> None:
+    """Draw a line over time, with an end at each gap."""
+    rows, is_end = thinned(t_ns, POINTS)
+    x, y = parted(is_end, scale.seconds(t_ns[rows]), values[rows])
+    panel.plot(x, y, **look)
 
 
 def _draw_errors(
     axes: dict[str, Any], one: Trajectory, other: Trajectory, scale: _Scale, look: dict[str, Any]
 ) -> None:
     def draw(name: str, t_ns: Stamps, size: Array) -> None:
-        if name not in axes:
-            return
-        some = _some(t_ns)
-        axes[name].semilogy(scale.seconds(t_ns[some]), size[some], **look)
+        if name in axes:
+            axes[name].set_yscale("log")
+            _draw_line(axes[name], t_ns, size, scale, look)
 
     if scale.frame and (found := difference.in_position(one, other, frame=scale.frame)):
         draw("position error", found[0], np.hypot(found[1][:, 0], found[1][:, 1]))
@@ -160,7 +172,3 @@ def _draw_errors(
         t_ns, mine, theirs = turned
         turn = so3.log(so3.multiply(so3.conjugate(mine), theirs))
         draw("attitude error", t_ns, np.rad2deg(np.linalg.norm(turn, axis=1)))
-
-
-def _some(t_ns: Stamps) -> slice:
-    return slice(None, None, max(1, len(t_ns) // POINTS))

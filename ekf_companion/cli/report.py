@@ -43,6 +43,8 @@ def report(
         if png:
             files.append(path.with_suffix(".png"))
             lines = [found.ours, *found.others]
-            trajectory_figure.plot(files[-1], lines, f"{log.name}\n{found.judgement.sentence}")
+            trajectory_figure.plot(
+                files[-1], lines, f"{log.name}\n{found.judgement.sentence}", jumps_ns=found.jumps_ns
+            )
     terminal.show(as_json, found.to_dict(), [found.judgement.sentence])
     typer.echo(f"report: {', '.join(map(str, files))}", err=as_json)
