@@ -32,6 +32,7 @@ td.text { overflow-wrap: anywhere; } .bad { color: #a93226; } .doubtful { color:
   justify-content: space-between; border-bottom: 1px solid #e5e8e8; break-inside: avoid; }
 .grid span { overflow-wrap: anywhere; } summary { cursor: pointer; margin: .3em 0; }
 .note { color: #566573; margin: .3em 0; }
+@media (max-width: 560px) { .scroll th, .scroll td { padding: .15em .3em; font-size: .85em; } }
 """
 _ERRORS = {
     "horizontal": "horizontal",

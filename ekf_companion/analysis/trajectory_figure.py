@@ -142,16 +142,21 @@ def _draw(
     angles = np.rad2deg(so3.to_euler(one.q_nb))
     for column, name in enumerate(EULER):
         # No line across the panel where an angle goes from 180 to -180 degrees
-        turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)[: len(angles)]
-        shown = np.where(turned, np.nan, angles[:, column])
-        _draw_line(axes[name], one.att_t_ns, shown, scale, look)
+        turns = np.flatnonzero(np.abs(np.diff(angles[:, column])) > 180.0) + 1
+        turned_ns = one.att_t_ns[turns].tolist()
+        _draw_line(axes[name], one.att_t_ns, angles[:, column], scale, look, turned_ns)
 
 
 def _draw_line(
-    panel: Any, t_ns: Stamps, values: Array, scale: _Scale, look: dict[str, Any]
+    panel: Any,
+    t_ns: Stamps,
+    values: Array,
+    scale: _Scale,
+    look: dict[str, Any],
+    jumps_ns: Sequence[int] = (),
 ) -> None:
-    """Draw a line over time, with an end at each gap."""
-    rows, is_end = thinned(t_ns, POINTS)
+    """Draw a line over time, with an end at each gap and jump."""
+    rows, is_end = thinned(t_ns, POINTS, jumps_ns)
     x, y = parted(is_end, scale.seconds(t_ns[rows]), values[rows])
     panel.plot(x, y, **look)
 

@@ -1,8 +1,10 @@
 """The figure of trajectories: lines end where there is nothing."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from ekf_companion.analysis import figure_file, trajectory_figure
 from ekf_companion.nav.state import Trajectory
@@ -38,6 +40,17 @@ def test_no_line_is_drawn_over_a_time_without_estimates(tmp_path):
     trajectory_figure.plot(out, [straight(t_s[(t_s < 25.0) | (t_s > 37.0)])])
     assert whole == [1] * len(whole)
     assert moves(out.read_text())[-3:] == [2, 2, 2]  # track, altitude, speed
+
+
+@pytest.mark.parametrize("rate", [10.0, 2000.0])
+def test_no_line_crosses_the_panel_where_the_heading_passes_south(tmp_path, rate):
+    """Also in a flight so long that of its rows not each is drawn."""
+    t_s = np.arange(0.0, 30.0, 1.0 / rate)
+    half = 0.5 * np.deg2rad(24.0 * t_s + 7.0)  # two turns: passes south twice
+    q_nb = np.stack([np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], axis=1)
+    out = tmp_path / "figure.svg"
+    trajectory_figure.plot(out, [replace(straight(t_s), q_nb=q_nb)])
+    assert moves(out.read_text())[-1] == 3
 
 
 def test_a_long_title_is_wrapped_and_stays_on_the_sheet(tmp_path):
