@@ -50,7 +50,12 @@ def compare(
             "NAME:? lists the options of one."
         ),
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw all trajectories into a .png.")] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw all trajectories into a .png, .pdf or .svg.", callback=terminal.figure_name
+        ),
+    ] = None,
     smooth: terminal.SmoothOption = False,
     as_json: terminal.JsonOption = False,
 ) -> None:

@@ -23,9 +23,26 @@ if TYPE_CHECKING:
 LogArgument = Annotated[
     Path, typer.Argument(help=".tlog, .bin, .ulg, .csv; also .txt (OpenShoe), .mat (BROAD).")
 ]
+FIGURES = (".png", ".pdf", ".svg")
+
+
+def figure_name(path: Path | None) -> Path | None:
+    """Return the file of a figure: one named without a kind is a .png; refuse other kinds."""
+    with exit_on_error():
+        if path is None or path.suffix.lower() in FIGURES:
+            return path
+        if path.suffix.strip(".") or not path.name:
+            raise ConfigError(f"--plot: {path}: a figure is a .png, .pdf or .svg; name one of them")
+        return path.with_name(f"{path.name.rstrip('.')}.png")
+
+
 PlotOption = Annotated[
     Path | None,
-    typer.Option("--plot", help="File of the figure; by default LOG.KIND.png, beside the log."),
+    typer.Option(
+        "--plot",
+        help="File of the figure; by default LOG.KIND.png, beside the log.",
+        callback=figure_name,
+    ),
 ]
 ConfigOption = Annotated[
     Path | None,

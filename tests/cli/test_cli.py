@@ -94,6 +94,22 @@ def test_an_output_of_another_kind_or_of_two_names_is_refused(flown, tmp_path):
     assert sorted(one.name for one in tmp_path.iterdir()) == ["north, 2.csv", "track.kml"]
 
 
+@pytest.mark.parametrize("words", ["compare --skip 5", "observability"])
+def test_a_figure_of_no_kind_is_a_png_and_of_another_kind_refused_before_the_work(
+    flown, tmp_path, words
+):
+    pytest.importorskip("matplotlib")
+    result = command(*words.split(), flown, "--plot", tmp_path / "figure")
+    assert result.exit_code == 0, result.output
+    assert f"figure: {tmp_path / 'figure.png'}" in result.output
+    assert [one.name for one in tmp_path.iterdir()] == ["figure.png"]
+    for name in ("figure.v2", "figure.jpg", "figure.png.gz"):
+        result = command(*words.split(), flown, "--plot", tmp_path / name)
+        assert result.exit_code == 2
+        assert f"{name}: a figure is a .png, .pdf or .svg; name one of them" in result.stderr
+        assert not result.stdout
+
+
 @pytest.mark.parametrize("name", ["report", "compare"])
 def test_a_quoted_pattern_is_for_the_shell(tmp_path, name):
     result = command(name, tmp_path / "*.ulg")
