@@ -52,3 +52,14 @@ def parted(is_end: Mask, *columns: Array) -> tuple[Array, ...]:
     """Return columns with a NaN behind each row that ends a piece."""
     at = np.flatnonzero(is_end) + 1
     return tuple(np.insert(one, at, np.nan) for one in columns)
+
+
+def covers(t_ns: Stamps, at_ns: Stamps) -> Mask:
+    """Return which moments lie in a gap of ascending stamps."""
+    return np.isin(np.searchsorted(t_ns, at_ns), begins(t_ns)) & ~np.isin(at_ns, t_ns)
+
+
+def middles(t_ns: Stamps) -> Stamps:
+    """Return a moment in each gap of ascending stamps."""
+    at = begins(t_ns)
+    return np.asarray(t_ns[at - 1] + (t_ns[at] - t_ns[at - 1]) // 2)

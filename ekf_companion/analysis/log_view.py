@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, product
+from collections.abc import Callable, Sequence
+from itertools import chain, pairwise, product
 from typing import Any
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.analysis import gaps
 from ekf_companion.analysis.flight_review import FlightReview
-from ekf_companion.engine.health import REFUSALS, Aid
+from ekf_companion.engine.health import REFUSALS, Aid, Verdict
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
+from ekf_companion.replay.watched import Look
 
 MOMENTS = 6000
 """Of the slider, at most: a tenth of a second each in a flight of ten minutes."""
 APART_S = 1.0
 """Farther from the next row, s, a trajectory is not known."""
+BEHIND_S = 1e-3
+"""So long after the last value before a gap stands one that is not known, s."""
 _KINDS = {"good": "good", "poor": "bad"}
 """Colours of the grades; of the others ``wait``: they are doubts, no failures."""
 _AXES = ("north", "east", "down")
@@ -27,9 +32,9 @@ Columns = dict[str, list[float]]
 
 
 def to_json(review: FlightReview) -> bytes:
-    """Return what the page shows of a flight; NaN becomes null."""
+    """Return what the page shows of a flight; NaN becomes null, which ends a line."""
     stamps, rows = np.unique(review.table.stamp_ns, return_index=True)
-    moments = np.linspace(stamps[0], stamps[-1], min(len(stamps), MOMENTS)).astype(np.int64)
+    moments = _moments(stamps, [review.ours, *review.others])
     zero_ns = int(stamps[0])
     judgement = review.judgement
     return msgspec.json.encode(
@@ -40,8 +45,13 @@ def to_json(review: FlightReview) -> bytes:
             "verdict": judgement.sentence,
             "summary": summary(review.report),
             "t": _round((moments - zero_ns) * 1e-9, 3),
+            "jumps": np.searchsorted(moments, np.asarray(review.jumps_ns, np.int64)).tolist(),
             "ours": _trajectory(review.ours, moments),
-            "estimate": _estimate(review.table, rows[np.searchsorted(stamps, moments)]),
+            "estimate": _estimate(
+                review.table,
+                rows[np.searchsorted(stamps, moments)],
+                gaps.covers(stamps, moments),
+            ),
             "others": [
                 {"name": one.name, "columns": _trajectory(one, moments)} for one in review.others
             ],
@@ -50,6 +60,15 @@ def to_json(review: FlightReview) -> bytes:
             "events": _events(review, zero_ns),
         }
     )
+
+
+def _moments(stamps: Stamps, trajectories: Sequence[Trajectory]) -> Stamps:
+    """Return the moments of the slider: evenly, and one in each gap, so that lines end there."""
+    even = np.linspace(stamps[0], stamps[-1], min(len(stamps), MOMENTS)).astype(np.int64)
+    drawn = [(one.pos_t_ns, one.vel_t_ns, one.att_t_ns) for one in trajectories]
+    missing = [gaps.middles(t_ns) for t_ns in (stamps, *chain.from_iterable(drawn))]
+    moments: Stamps = np.unique(np.concatenate([even, *missing]))
+    return np.asarray(moments[(moments >= stamps[0]) & (moments <= stamps[-1])])
 
 
 def _round(values: npt.NDArray[np.floating[Any]], digits: int) -> list[float]:
@@ -84,34 +103,39 @@ def _trajectory(one: Trajectory, at_ns: Stamps) -> Columns:
 
 
 def _at(t_ns: Stamps, values: Array, at_ns: Stamps) -> Array:
-    """Interpolate rows, shape (n, m); NaN where no row is near."""
+    """Interpolate rows, shape (n, m); NaN in gaps, and where no row is near."""
     after = np.clip(np.searchsorted(t_ns, at_ns), 0, len(t_ns) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.minimum(np.abs(t_ns[after] - at_ns), np.abs(at_ns - t_ns[before]))
     seconds = (t_ns - t_ns[0]) * 1e-9
     wanted = (at_ns - t_ns[0]) * 1e-9
     found = np.stack([np.interp(wanted, seconds, column) for column in values.T], axis=1)
-    found[nearest > APART_S * 1e9] = np.nan
+    found[(nearest > APART_S * 1e9) | gaps.covers(t_ns, at_ns)] = np.nan
     return found
 
 
-def _estimate(table: Table, rows: npt.NDArray[np.integer[Any]]) -> dict[str, list[Any]]:
-    """Return status, biases and sigmas at the moments."""
+def _estimate(
+    table: Table, rows: npt.NDArray[np.integer[Any]], is_missing: Mask
+) -> dict[str, list[Any]]:
+    """Return status, biases and sigmas at the moments, some of which lie in gaps."""
     degrees = float(np.rad2deg(1.0))
+    statuses = zip(table.column("status")[rows], is_missing, strict=True)
     columns: dict[str, list[Any]] = {
         "status": [
-            Status(int(one)).name.lower() if np.isfinite(one) else "init"
-            for one in table.column("status")[rows]
+            "no_samples" if gap else Status(int(one)).name.lower() if np.isfinite(one) else "init"
+            for one, gap in statuses
         ]
     }
-    for name in GYRO_BIAS:
-        columns[name] = _round(table.column(name)[rows] * degrees, 4)
-    for name in ACCEL_BIAS:
-        columns[name] = _round(table.column(name)[rows], 4)
-    for name in SIGMA[:6]:
-        columns[name] = _round(table.column(name)[rows], 3)
-    for name in SIGMA[6:]:
-        columns[name] = _round(table.column(name)[rows] * degrees, 3)
+
+    def add(names: Sequence[str], digits: int, scale: float = 1.0) -> None:
+        for name in names:
+            values = np.where(is_missing, np.nan, table.column(name)[rows] * scale)
+            columns[name] = _round(values, digits)
+
+    add(GYRO_BIAS, 4, degrees)
+    add(ACCEL_BIAS, 4)
+    add(SIGMA[:6], 3)
+    add(SIGMA[6:], 3, degrees)
     return columns
 
 
@@ -120,27 +144,48 @@ def _innovations(review: FlightReview, zero_ns: int) -> dict[str, Any] | None:
     found = review.innovations
     if found is None:
         return None
-    some = slice(None, None, -(-len(found.t_ns) // MOMENTS))
+    rows, is_end = gaps.thinned(found.t_ns, MOMENTS)
+    seconds = (found.t_ns[rows] - zero_ns) * 1e-9
+    ends = np.flatnonzero(is_end) + 1
+    values, bounds = (
+        np.insert(one[rows], ends, np.nan, axis=0) for one in (found.values, found.bounds)
+    )
     names = [f"{what} {axis}" for what in ("position", "velocity") for axis in _AXES]
     return {
-        "t": _round((found.t_ns[some] - zero_ns) * 1e-9, 3),
-        "values": {name: _round(found.values[some, i], 3) for i, name in enumerate(names)},
-        "bounds": {name: _round(found.bounds[some, i], 3) for i, name in enumerate(names)},
+        "t": _round(np.insert(seconds, ends, seconds[ends - 1] + BEHIND_S), 3),
+        "values": {name: _round(values[:, i], 3) for i, name in enumerate(names)},
+        "bounds": {name: _round(bounds[:, i], 3) for i, name in enumerate(names)},
     }
 
 
 def _looks(review: FlightReview, zero_ns: int) -> dict[str, Any]:
     looks = [look for look in review.looks if look.t_ns >= zero_ns]
+    seconds = [(look.t_ns - zero_ns) * 1e-9 for look in looks]
+    shown: list[Look | None] = [*looks]
+    # One comes in each second with a sample
+    silent = np.diff(np.array([look.t_ns for look in looks], np.int64)) > gaps.GAP_S * 1e9
+    for at in (np.flatnonzero(silent) + 1)[::-1].tolist():
+        shown.insert(at, None)
+        seconds.insert(at, seconds[at - 1] + BEHIND_S)
+
+    def counts(of: Callable[[Look, Aid], float], aid: Aid) -> list[float | None]:
+        return [None if look is None else of(look, aid) for look in shown]
+
+    def refused(why: Verdict) -> Callable[[Look, Aid], float]:
+        return lambda look, aid: look.refused[aid, why]
+
     return {
-        "t": [(look.t_ns - zero_ns) * 1e-9 for look in looks],
-        "nis": {aid.name.lower(): [float(look.nis[aid]) for look in looks] for aid in Aid},
+        "t": seconds,
+        "nis": {
+            aid.name.lower(): counts(lambda look, aid: float(look.nis[aid]), aid) for aid in Aid
+        },
         "refused": {
-            f"{aid.name.lower()} {why.name.lower()}": counts
+            f"{aid.name.lower()} {why.name.lower()}": counts(refused(why), aid)
             for aid in Aid
             for why in REFUSALS
-            if any(counts := [look.refused[aid, why] for look in looks])
+            if any(look.refused[aid, why] for look in looks)
         },
-        "fused": {aid.name.lower(): [look.fused[aid] for look in looks] for aid in Aid},
+        "fused": {aid.name.lower(): counts(lambda look, aid: look.fused[aid], aid) for aid in Aid},
     }
 
 

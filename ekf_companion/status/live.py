@@ -50,6 +50,8 @@ class Live:
     """Last normalised innovation squared over its gate, by aid: above 1 it was refused."""
     nis: Mapping[str, float]
     """Mean normalised innovation squared over its degrees of freedom, of 20 s, by aid."""
+    resets: int
+    """How often the estimate was reset: then its track jumps."""
     autopilot: AutopilotState | None
     """The autopilot's own attitude and position; None: it has told none."""
 
@@ -83,6 +85,7 @@ def live(companion: Companion, age_s: float, nis: Mapping[Aid, float], now_ns: i
             accel_bias_m_s2=tuple(now.accel_bias),
             ratios={aid.name.lower(): ratios[aid] for aid in Aid},
             nis={aid.name.lower(): value for aid, value in nis.items()},
+            resets=pipeline.resets,
             autopilot=autopilot_state(companion.session, now_ns),
         )
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.analysis.gaps import begins, broken, parted, thinned
+from ekf_companion.analysis.gaps import begins, broken, covers, middles, parted, thinned
 
 
 def stamps(*pieces):
@@ -48,3 +48,12 @@ def test_what_has_hardly_a_row_has_no_gap(count):
 
 def test_slow_rows_are_no_gaps():
     assert begins(stamps((0.0, 1000.0, 5.0))).tolist() == []
+
+
+def test_a_moment_in_a_gap_is_between_two_rows_far_apart_and_no_row():
+    t_ns = stamps((0.0, 10.0, 1.0), (40.0, 50.0, 1.0))
+    at_ns = np.rint(np.array([-1.0, 0.5, 9.0, 9.001, 24.5, 39.999, 40.0, 49.0, 60.0]) * 1e9)
+    found = covers(t_ns, at_ns.astype(np.int64))
+    assert found.tolist() == [False, False, False, True, True, True, False, False, False]
+    assert middles(t_ns).tolist() == [24_500_000_000]
+    assert not covers(t_ns[:0], t_ns).any()

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,11 +20,16 @@ SECOND_NS = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory):
+def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("view") / "flight.tlog"
     options = ["generate", "--duration", "20", "--scenario", "figure-eight", "-o", str(path)]
     assert CliRunner().invoke(app, options).exit_code == 0
-    return review(path, Config())
+    return path
+
+
+@pytest.fixture(scope="module")
+def flight(log):
+    return review(log, Config())
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +110,46 @@ def test_where_no_row_is_near_nothing_is_known():
     found = log_view._trajectory(standing, np.array([SECOND_NS // 2, 5 * SECOND_NS]))
     assert found["v_north"][0] == 1.0
     assert math.isnan(found["v_north"][1])
+
+
+def without(log, begin_s, end_s):
+    """Return a .tlog without the records of some seconds."""
+    kept, place, zero = [], 0, int.from_bytes(log[:8], "big")
+    while place < len(log):
+        size = 20 + log[place + 9] + 13 * (log[place + 10] & 1)
+        seconds = (int.from_bytes(log[place : place + 8], "big") - zero) * 1e-6
+        if not begin_s < seconds < end_s:
+            kept.append(log[place : place + size])
+        place += size
+    return b"".join(kept)
+
+
+def test_every_line_ends_where_three_seconds_are_missing(log, tmp_path):
+    path = tmp_path / "gap.tlog"
+    path.write_bytes(without(log.read_bytes(), 9.5, 12.5))
+    data = json.loads(log_view.to_json(review(path, Config())))
+    t, status = np.array(data["t"]), data["estimate"]["status"]
+    assert np.diff(t).min() >= 0.0
+    inside = [at for at, one in enumerate(status) if one == "no_samples"]
+    assert inside
+    assert inside == list(range(inside[0], inside[-1] + 1))
+    begin, end = t[inside[0] - 1], t[inside[-1] + 1]
+    assert 2.5 < end - begin < 3.5
+    drawn = {**data["ours"], **data["estimate"], **data["others"][0]["columns"]}
+    del drawn["status"]
+    for name, values in drawn.items():
+        assert {values[at] for at in inside} == {None}, name
+    for part, values in (
+        (data["innovations"], data["innovations"]["values"]["position north"]),
+        (data["looks"], data["looks"]["fused"]["position"]),
+    ):
+        times = np.array(part["t"])
+        (first, *_) = np.flatnonzero(times > begin - 0.5)
+        assert None in values[first : np.searchsorted(times, end)]
+
+
+def test_a_reset_says_before_which_moment_the_track_jumps(flight):
+    jump_ns = int(flight.table.stamp_ns[1000])
+    data = json.loads(log_view.to_json(replace(flight, jumps_ns=(jump_ns,))))
+    at, jump = data["jumps"][0], (jump_ns - flight.table.stamp_ns.min()) * 1e-9
+    assert data["t"][at - 1] < jump <= data["t"][at] + 1e-3

@@ -137,7 +137,15 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
                 "document.querySelector('#link').textContent.startsWith('no samples for ')"
             )
             assert tab.value("document.querySelector('#link').className") == "badge bad"
-            tab.wait_for("/ok, [0-9]+ s ago/.test(document.querySelector('#facts').textContent)")
+            tab.wait_for(
+                "/none for [0-9]+ s; the last was ok/.test(document.querySelector('#facts')"
+                ".textContent)"
+            )
+            # A vehicle that is not heard is not said to be armed
+            tab.wait_for(
+                "/, silent for [0-9]+ s$/.test(document.querySelector('#vehicle').textContent)"
+            )
+            assert tab.text("#sigma-speed").endswith(" m/s")
             assert tab.value("document.querySelector('#facts dd.good')") is None
             # Nothing below contradicts the red words at the top, and only what is of now stands out
             assert tab.value("document.querySelector('#verdict').className") != "good"
@@ -153,6 +161,8 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             assert tab.errors == []
         tab.wait_for("document.querySelector('#link').textContent.startsWith('no connection')")
         tab.wait_for("document.body.classList.contains('stale')")
+        assert tab.text("#sentence") == "not known: nothing comes from the daemon"
+        assert not re.search("armed|silent", tab.text("#vehicle"))
         with start(tmp_path, ports):
             tab.wait_for("document.querySelector('#link').textContent == 'no estimate yet'")
             assert tab.value("document.querySelector('#link').className") == "badge wait"
@@ -184,6 +194,11 @@ def test_on_a_phone_everything_is_on_the_screen_and_times_of_day_have_their_hour
         tab.wait_for("document.querySelectorAll('#stages tbody tr').length > 3")
         tab.wait_for("/ok/.test(document.querySelector('#facts').textContent)")
         tab.value("document.querySelector('#link').textContent = 'no samples for 100 s'")
+        lines = "document.querySelector('#link').getClientRects().length"
+        height = "document.querySelector('{}').getBoundingClientRect()"
+        assert tab.value(lines) == 1
+        assert tab.value(f"{height.format('#link')}.height") < 28
+        assert tab.value(f"{height.format('#link')}.top < {height.format('h1')}.bottom")
         subtitle = "document.querySelector('#vehicle')"
         assert tab.value(f"{subtitle}.scrollWidth <= {subtitle}.clientWidth")
         assert tab.value(f"{subtitle}.clientWidth") > 160
@@ -253,6 +268,71 @@ def test_a_log_is_shown_with_a_slider_and_both_estimates(tmp_path):
         tab.value("document.querySelector('#play').click()")
         tab.wait_for("!document.querySelector('#clock').textContent.startsWith('0.0')")
         assert tab.errors == []
+
+
+TRACK = """void import('./page/track.js').then(({ Track }) => {
+  const track = new Track("ours");
+  const along = (from, to) => { for (let x = from; x < to; x++) track.add([x, 0]); };
+  along(0, 5);
+  track.add(null);
+  track.add(null);
+  along(40, 45);
+  const pieces = track.points.map((one) => one && one[0]);
+  for (let i = 0; i < 20000; i++) track.add(i % 100 ? [i, 0] : null);
+  const ends = track.points.filter((one) => one === null).length;
+  window.found = [pieces, track.points.length, ends, track.points[0] !== null];
+})"""
+
+
+def test_a_track_ends_where_nothing_comes_also_when_it_is_thinned(tmp_path, ports):
+    with chromium(tmp_path) as tab, start(tmp_path, ports) as daemon:
+        daemon.wait_for("Status on")
+        tab.open(f"http://127.0.0.1:{ports[1]}/")
+        tab.wait_for("document.querySelector('#link')?.textContent == 'no estimate yet'")
+        # What is empty says so
+        tab.value(NOTE_TEXTS)
+        tab.wait_for("window.texts.includes('no position yet')")
+        tab.wait_for("window.texts.includes('no attitude')")
+        assert tab.value("document.querySelector('#facts dd.bad')") is None
+        tab.value(TRACK)
+        pieces, count, ends, begins = tab.wait_for("window.found")
+        assert pieces == [0, 1, 2, 3, 4, None, 40, 41, 42, 43, 44]
+        assert 2000 < count <= 6000
+        assert 100 < ends <= 202
+        assert begins
+        assert tab.errors == []
+
+
+TAPE = """(() => {
+  const draw = CanvasRenderingContext2D.prototype.fillText;
+  window.cut = [];
+  window.written = 0;
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    const half = this.measureText(text).width / 2;
+    const isTape = this.canvas.id === "horizon" && this.textAlign === "center" && y > 200;
+    if (isTape) window.written++;
+    if (isTape && (x - half < 0 || x + half > this.canvas.clientWidth)) window.cut.push(text);
+    draw.call(this, text, x, y);
+  };
+})()"""
+"""Keeps the labels of the heading that the edge of the horizon cuts."""
+
+
+def test_no_label_of_the_heading_is_cut(tmp_path, ports):
+    with chromium(tmp_path) as tab, start(tmp_path, ports) as daemon:
+        daemon.wait_for("Status on")
+        tab.show(390, 844, phone=True)
+        tab.open(f"http://127.0.0.1:{ports[1]}/")
+        tab.wait_for("document.querySelector('#link')?.textContent == 'no estimate yet'")
+        tab.value(TAPE)
+        tab.value(
+            "void import('./page/horizon.js').then(({ drawHorizon }) => {"
+            "for (let yaw = 0; yaw < 360; yaw++)"
+            "drawHorizon({ roll_deg: 0, pitch_deg: 0, heading_deg: yaw }); window.done = true; })"
+        )
+        tab.wait_for("window.done")
+        assert tab.value("window.written") > 1000
+        assert tab.value("window.cut") == []
 
 
 def test_without_the_charting_library_the_page_says_so_and_works(monkeypatch):

@@ -1,6 +1,6 @@
 /** Charts over time, drawn by uPlot, in the colours of the present scheme. */
 
-import { $, colours, fixed, make } from "./format.js";
+import { $, colours, fixed, isKnown, make } from "./format.js";
 
 export const SPAN = 120; // s that a live chart shows
 const HEIGHT = 170;
@@ -76,6 +76,12 @@ export class Chart {
     const { ctx, bbox } = plot;
     ctx.save();
     ctx.lineWidth = window.devicePixelRatio || 1;
+    if (!this.data.slice(1).some((values) => values.some(isKnown))) {
+      ctx.fillStyle = colour.dim;
+      ctx.font = `${13 * ctx.lineWidth}px system-ui, sans-serif`;
+      ctx.textAlign = "center";
+      ctx.fillText("no values", bbox.left + bbox.width / 2, bbox.top + bbox.height / 2);
+    }
     if (this.options.bound !== undefined) {
       const y = Math.round(plot.valToPos(this.options.bound, "y", true));
       ctx.strokeStyle = colour.bad;

@@ -24,6 +24,10 @@ export function drawHorizon(ours, autopilot) {
   } else {
     c.fillStyle = colour.line;
     c.fillRect(0, 0, width, height);
+    c.fillStyle = colour.dim;
+    c.font = "13px system-ui, sans-serif";
+    c.textAlign = "center";
+    c.fillText("no attitude", x, y + 0.4 * r);
   }
   if (isKnown(autopilot?.roll_deg)) {
     c.save();
@@ -64,7 +68,8 @@ function drawWorld(c, colour, r, down, perDegree) {
     if (pitch === 0 || Math.abs(at) > r) continue;
     const half = pitch % 10 ? r * 0.1 : r * 0.24;
     line(c, -half, at, half, at);
-    if (pitch % 10) continue;
+    // A number that the circle would cut is left out
+    if (pitch % 10 || Math.hypot(Math.abs(at) + 5, half + 18) > r) continue;
     c.textAlign = "right";
     c.fillText(Math.abs(pitch), -half - 4, at);
     c.textAlign = "left";
@@ -131,7 +136,11 @@ function drawHeading(c, colour, width, height, tape, ours, autopilot) {
     const at = middle + turn(degrees, ours) * perDegree;
     if (at < -20 || at > width + 20) continue;
     line(c, at, top, at, top + (degrees % 15 ? 4 : 8));
-    if (degrees % 15 === 0) c.fillText(words[degrees] ?? degrees, at, height - 4);
+    if (degrees % 15) continue;
+    const text = String(words[degrees] ?? degrees);
+    const half = c.measureText(text).width / 2;
+    // Likewise one that the edge would cut
+    if (at - half > 0 && at + half < width) c.fillText(text, at, height - 4);
   }
   c.fillStyle = colour.ours;
   pointer(c, middle, top);

@@ -32,12 +32,16 @@ export function startLive() {
   charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
   let count = 0;
   let seen; // the newest status
+  let resets; // of the newest estimate
   let age; // s of the newest sample; null: there is no estimate, undefined: not known
 
   const onLive = (live) => {
-    showSample(live, live?.autopilot, map);
     const wasOld = document.body.classList.contains("old");
     const isOld = showAge(live);
+    // Over a reset it has not flown
+    if (live && live.resets !== resets) map.lift("ours");
+    resets = live?.resets;
+    showSample(live, live?.autopilot, map, isOld ? "old" : "live");
     // The state comes once a second: what is red at the top must not be green below it until then
     if (seen && live && isOld !== wasOld) showState({ ...seen, sample_age_s: live.age_s });
     age = live === null ? null : live.age_s;
@@ -81,7 +85,15 @@ export function startLive() {
       showLink(link, age);
       document.body.classList.toggle("stale", kind === "bad");
       // A pause shows as a gap of the lines
-      if (state === "good" && kind !== "good") charts.forEach((one) => append(one.data, Date.now() / 1000, []));
+      if (state === "good" && kind !== "good") {
+        charts.forEach((one) => append(one.data, Date.now() / 1000, []));
+        map.lift("ours", "autopilot");
+      }
+      // What was true when the last message came is not said to be true now
+      if (kind === "bad" && state !== kind) {
+        showVerdict("wait", "not known: nothing comes from the daemon");
+        if (seen) put("vehicle", vehicleOf(seen, false));
+      }
       state = kind;
     },
   );
@@ -124,16 +136,25 @@ function wordsOf(name, { state, source, since_s: since, refused_s: refused, why 
   return `used, ${source}, for ${fixed(since, 0)} s${lately}`;
 }
 
+/** The vehicle, and whether it is armed where its heartbeat says so now. */
+function vehicleOf({ peer, link }, isNow) {
+  if (!peer) return link.url;
+  const name = `${peer.family} ${peer.version}, system ${peer.system_id}`;
+  if (!isNow) return name;
+  return peer.is_heard ? name + (peer.is_armed ? ", armed" : "") : `${name}, silent for ${fixed(peer.silent_s, 0, " s")}`;
+}
+
 function showState(status) {
   const { health, peer, estimator, output, process, imu, link, preflight, time } = status;
   showPreflight(status);
   const one = (name, text) => [name, text, "now"]; // not of the estimate: as new as the page
-  put("vehicle", peer ? `${peer.family} ${peer.version}, system ${peer.system_id}${peer.is_armed ? ", armed" : ""}` : link.url);
+  put("vehicle", vehicleOf(status, true));
   const resets = Object.entries(status.resets).map(([why, n]) => `${why} ${n}`).join(", ");
   const isOld = !(status.sample_age_s < OLD);
-  const found = estimator ? `${estimator.status.replace("_", " ")}${isOld ? `, ${fixed(status.sample_age_s, 0, " s")} ago` : ""}` : "none yet";
+  const words = estimator?.status.replace("_", " ");
+  const found = !estimator ? "none yet" : isOld ? `none for ${fixed(status.sample_age_s, 0, " s")}; the last was ${words}` : words;
   showFacts([
-    ["estimate", found, estimator?.status === "ok" && !isOld ? "good" : "bad"],
+    ["estimate", found, !estimator ? "" : estimator.status === "ok" && !isOld ? "good" : "bad"],
     ["ODOMETRY", output.is_allowed ? `${fixed(output.rate, 0)} Hz${output.silence ? `, ${output.silence}` : ""}` : `withheld: ${output.reason}`],
     ["to change", output.remedy],
     ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
@@ -184,7 +205,7 @@ function showStages({ link, frames, estimator, output }) {
   ]);
   const verdicts = estimator?.verdicts ?? {};
   const shown = VERDICTS.filter((why) => Object.values(verdicts).some((counts) => counts[why]));
-  showTable("stages", ["aid", ...shown.map((why) => why.replace("_", " "))],
+  showTable("stages", [Object.keys(verdicts).length ? "aid" : "", ...shown.map((why) => why.replace("_", " "))],
     Object.entries(verdicts).map(([aid, counts]) => [aid, ...shown.map((why) => [String(counts[why] ?? 0), why === "gated" && counts[why] ? "bad" : ""])]));
 }
 

@@ -70,11 +70,12 @@ class Player {
   }
 
   fillTracks() {
+    const jumps = new Set(this.log.jumps);
     for (const [name, columns] of [["ours", this.log.ours], ["autopilot", this.other?.columns]]) {
       this.map.tracks[name].points = [];
       columns?.lat_deg?.forEach((lat, i) => {
-        const place = this.map.place(lat, columns.lon_deg[i]);
-        if (place) this.map.tracks[name].add(place);
+        if (name === "ours" && jumps.has(i)) this.map.lift(name);
+        this.map.tracks[name].add(this.map.place(lat, columns.lon_deg[i]));
       });
     }
   }
@@ -144,7 +145,7 @@ class Player {
     $("time").value = at;
     put("clock", fixed(log.t[at], 1, " s"));
     const sample = { ...moment(log.ours, at), ...sigmas(log.estimate, at) };
-    showSample(sample, this.other ? moment(this.other.columns, at) : null, this.map, true);
+    showSample(sample, this.other ? moment(this.other.columns, at) : null, this.map, "log");
     this.charts.forEach((chart) => chart.setMoment(log.t[at]));
     const { estimate } = log;
     showFacts([

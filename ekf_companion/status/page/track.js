@@ -8,7 +8,7 @@ const KEPT = 6000;
 /** Two degrees of freedom: chi-square 5.991. */
 const SCALE_95 = Math.sqrt(5.991);
 
-/** Points of one track, metres east and north of a place that both tracks share. */
+/** Points of one track, metres east and north of a place that both tracks share; null ends a piece. */
 export class Track {
   constructor(name) {
     this.name = name;
@@ -16,13 +16,19 @@ export class Track {
     this.past = []; // one a second, from before the page opened: dots, as a line would cut corners
   }
 
-  /** Add a position; leave out what moves no pixel. */
+  /** Add a position, less what moves no pixel; null: from here to the next one no line is drawn. */
   add(point) {
-    const last = this.points[this.points.length - 1];
-    if (last && Math.hypot(last[0] - point[0], last[1] - point[1]) < 0.1) return;
+    const last = this.points.at(-1);
+    if (point ? last && Math.hypot(last[0] - point[0], last[1] - point[1]) < 0.1 : !last) return;
     this.points.push(point);
-    if (this.points.length > KEPT) this.points = this.points.filter((_, i) => i % 2 === 0);
+    if (this.points.length > KEPT) this.points = halve(this.points);
   }
+}
+
+/** Every other point, and the ends of the pieces; of too many pieces the newest. */
+function halve(points) {
+  const kept = points.filter((point, i) => i % 2 === 0 || !point || !points[i - 1] || !points[i + 1]);
+  return kept.length > 0.9 * KEPT ? kept.slice(-KEPT / 2) : kept;
 }
 
 export class Map {
@@ -44,14 +50,21 @@ export class Map {
     return [(lon - lon0) * DEGREE * Math.cos((lat0 * Math.PI) / 180), (lat - lat0) * DEGREE];
   }
 
-  /** Show where we are; `whole` tracks are given already where they come from a log. */
-  show(ours, autopilot, isWhole = false) {
+  /** Show where we are: "live"; "old", where ours stands still as nothing comes; "log", whose tracks are filled. */
+  show(ours, autopilot, kind) {
     this.now = ours && this.place(ours.lat_deg, ours.lon_deg);
     this.beside = autopilot && this.place(autopilot.lat_deg, autopilot.lon_deg);
     this.sample = ours;
-    if (!isWhole && this.now) this.tracks.ours.add(this.now);
-    if (!isWhole && this.beside) this.tracks.autopilot.add(this.beside);
+    if (kind !== "log") {
+      this.tracks.ours.add(kind === "old" ? null : this.now);
+      this.tracks.autopilot.add(this.beside);
+    }
     this.draw();
+  }
+
+  /** Draw no line from where they are to what comes next. */
+  lift(...names) {
+    names.forEach((name) => this.tracks[name].add(null));
   }
 
   /** Show where both were before the page opened. */
@@ -74,7 +87,7 @@ export class Map {
       return { middle: this.now, scale: Math.min(width, height) / least };
     }
     let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const [x, y] of Object.values(this.tracks).flatMap(({ past, points }) => [...past, ...points])) {
+    for (const [x, y] of Object.values(this.tracks).flatMap(({ past, points }) => [...past, ...points]).filter(Boolean)) {
       west = Math.min(west, x);
       east = Math.max(east, x);
       south = Math.min(south, y);
@@ -100,9 +113,7 @@ export class Map {
       c.strokeStyle = colour[name];
       c.lineWidth = name === "ours" ? 2 : 1.6;
       c.setLineDash(name === "ours" ? [] : [6, 4]);
-      c.beginPath();
-      points.forEach((point, i) => c[i ? "lineTo" : "moveTo"](...at(point)));
-      c.stroke();
+      drawPieces(c, points, at);
     }
     c.setLineDash([]);
     if (this.beside) dot(c, at(this.beside), colour.autopilot);
@@ -116,6 +127,18 @@ export class Map {
       c.fillText("no position yet", width / 2, height / 2);
     }
   }
+}
+
+/** One line for each piece; of a piece of one point a dot. */
+function drawPieces(c, points, at) {
+  c.lineCap = "round";
+  c.beginPath();
+  points.forEach((point, i) => {
+    if (!point) return;
+    if (!points[i - 1]) c.moveTo(...at(point));
+    c.lineTo(...at(point));
+  });
+  c.stroke();
 }
 
 function niceStep(least) {
