@@ -81,6 +81,10 @@ class FlightReview:
     """Its stamps are on the clock of the estimates, that of the longest stretch."""
     settings: Mapping[str, str]
     """Those of the estimator that are not the defaults."""
+    tiles: str = ""
+    """Address of the tiles of a map under the track; empty: there is none."""
+    tiles_credit: str = ""
+    """What is written on the map."""
     begins_ns: tuple[int, ...] = ()
     """Where the autopilot's clock began anew: all stamps are on one that runs on there."""
     began_s: float | None = None
@@ -162,6 +166,8 @@ def review(
         jumps_ns=tuple(table.stamp_ns[1:][np.diff(table.column("reset_count")) != 0.0].tolist()),
         onboard=_on_drawn_clock(onboard(run.log), shift_ns),
         settings=_changed(config),
+        tiles=config.http.tiles,
+        tiles_credit=config.http.tiles_credit,
         begins_ns=tuple(
             one.first_ns + int(shift)
             for one, shift in zip(stretches.found[1:], shifts_ns[1:], strict=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis import report_tables
+from ekf_companion.analysis import map_tiles, report_tables
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.gaps import parted, thinned
 from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, place_legend
@@ -246,6 +246,8 @@ def _track(review: FlightReview, sheet: Sheet) -> list[Any]:
         north, east = parted(is_end, ned[:, 0], ned[:, 1])
         plot.line(east, north, line_color=colour, line_width=1.6, legend_label=_short(one.name))
     sheet.limit_map(plot, tracks)
+    if review.tiles:
+        map_tiles.draw(plot, review.tiles, review.tiles_credit, frame, [one for one, _ in placed])
     place_legend(plot)
     return [plot]
 

@@ -32,6 +32,7 @@ def view(
 
     with terminal.exit_on_error():
         truth = terminal.read_truth(reference)
+        loaded = terminal.load(config)
         try:
             listener = listen(HOST, port)
         except OSError as error:
@@ -40,10 +41,15 @@ def view(
             ) from error
         with listener:
             with progress_line(log.name) as progress:
-                found = flight_review.review(log, terminal.load(config), progress, truth)
+                found = flight_review.review(log, loaded, progress, truth)
                 data = log_view.to_json(found)
             taken = listener.getsockname()[1]
-            settings = HttpConfig(host=HOST, port=taken)
+            settings = HttpConfig(
+                host=HOST,
+                port=taken,
+                tiles=loaded.http.tiles,
+                tiles_credit=loaded.http.tiles_credit,
+            )
             server = HttpServer(settings, lambda: LogSite(data), listener=listener)
             typer.echo(found.judgement.sentence)
             typer.echo(f"http://{HOST}:{taken}/ shows {log.name}; Ctrl-C ends it")

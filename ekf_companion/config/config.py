@@ -130,6 +130,15 @@ def parse_config(data: object, name: str) -> Config:
             f"{name}: http.token: is no token: use 8 to 128 letters, digits or . _ ~ - (openssl "
             "rand -hex 16 makes one), or leave it empty"
         )
+    tiles = config.http.tiles
+    is_tile = re.fullmatch(
+        r"https?://[A-Za-z0-9.-]+(:[0-9]{1,5})?/[A-Za-z0-9._~/?&=%@:{}-]*", tiles
+    )
+    if tiles and not (is_tile and all(one in tiles for one in ("{z}", "{x}", "{y}"))):
+        raise ConfigError(
+            f"{name}: http.tiles: {tiles!r:.80} is no address of map tiles: write it as "
+            "https://HOST/{z}/{x}/{y}.png, or leave it empty for no map"
+        )
     if config.live.udp_json and not re.fullmatch(r".+:[0-9]{1,5}", config.live.udp_json):
         raise ConfigError(
             f"{name}: live.udp_json: {config.live.udp_json!r:.60}: write it as HOST:PORT"

@@ -229,6 +229,12 @@ class HttpConfig:
     """Names under which a browser may ask for this computer, beside its address, localhost and its
     host name, as in [drone.lan]. Others are refused: a page of another site could have made its
     name point here."""
+    tiles: str = ""
+    """Address of map tiles to draw under the track, of the page, view and report, with {z}, {x} and
+    {y}, as in https://tiles.example.org/{z}/{x}/{y}.png. The browser fetches them from there, and
+    so tells that server where the vehicle is. Empty: no map."""
+    tiles_credit: str = ""
+    """What the server wants to be written on the map, as in (c) OpenStreetMap contributors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

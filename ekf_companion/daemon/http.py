@@ -222,7 +222,12 @@ class HttpServer:
         try:
             client.settimeout(DEADLINE)
             Handler(
-                client, address, self._site, self._access, lambda: self._ends_s.pop(client, None)
+                client,
+                address,
+                self._site,
+                self._access,
+                lambda: self._ends_s.pop(client, None),
+                self._config,
             )
             client.shutdown(socket.SHUT_WR)
         except OSError as error:

@@ -18,6 +18,7 @@ from urllib.parse import parse_qs, unquote
 
 from prometheus_client.exposition import choose_encoder
 
+from ekf_companion.config.service import HttpConfig
 from ekf_companion.daemon import websocket
 from ekf_companion.daemon.access import Access
 from ekf_companion.daemon.feed import Feed
@@ -37,7 +38,8 @@ _TEXT = "text/plain; charset=utf-8"
 _INDEX = (
     "/healthz  is it well: 200, or 503 and why\n/status   everything, JSON\n/metrics  Prometheus\n"
 )
-_CSP = "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"
+_CSP = "default-src 'self'; img-src 'self' data:{}; frame-ancestors 'none'"
+"""Pictures may come from the server of a map's tiles, too."""
 _FULL = "too many watch already: close the page elsewhere\n"
 _LOCK = threading.Lock()
 """Of many clients one at a time competes with the loop."""
@@ -70,6 +72,7 @@ class Handler(BaseHTTPRequestHandler):
         site: Site,
         access: Access,
         on_watch: Callable[[], object],
+        config: HttpConfig,
     ) -> None:
         """Read the request and answer it.
 
@@ -79,11 +82,13 @@ class Handler(BaseHTTPRequestHandler):
             site: What is served.
             access: Decides who is answered.
             on_watch: Called when the connection becomes a viewer's, which may take longer.
+            config: Names the map under the track.
 
         Raises:
             OSError: The client is gone, or too slow.
         """
         self._site, self._access, self._on_watch = site, access, on_watch
+        self._config = config
         self._headers: list[tuple[str, str]] = []
         super().__init__(client, address, None)  # type: ignore[arg-type]  # no server is asked
 
@@ -135,7 +140,8 @@ class Handler(BaseHTTPRequestHandler):
                 cookie = f"{self._access.cookie}={word}; Path=/; HttpOnly; SameSite=Strict"
                 self._headers = [("Set-Cookie", cookie), ("Location", "./")]
                 return HTTPStatus.SEE_OTHER, _TEXT, b""
-        return HTTPStatus.OK, "text/html; charset=utf-8", index(self._site.source)
+        page = index(self._site.source, self._config.tiles, self._config.tiles_credit)
+        return HTTPStatus.OK, "text/html; charset=utf-8", page
 
     def _watch(self, feed: Feed) -> None:
         """Serve ``/live``, if the request may."""
@@ -159,7 +165,7 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Connection", "close")
         self.send_header("Cache-Control", "no-store")
-        self.send_header("Content-Security-Policy", _CSP)
+        self.send_header("Content-Security-Policy", _CSP.format(_origin(self._config.tiles)))
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Referrer-Policy", "no-referrer")
         for name, value in self._headers:
@@ -212,6 +218,11 @@ class DaemonSite:
             self._sent = events.count
             messages["events"] = events.to_json()
         return messages
+
+
+def _origin(address: str) -> str:
+    """Return who serves an address, behind a space, for a list of them; empty: of no address."""
+    return f" {'/'.join(address.split('/')[:3])}" if address else ""
 
 
 def _stalled() -> Answer:

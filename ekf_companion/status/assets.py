@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from html import escape
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -38,12 +39,19 @@ def asset(name: str) -> Asset | None:
 
 
 @cache
-def index(source: str) -> bytes:
-    """Return the page itself; ``source`` is where its data comes from: ``live`` or ``log``."""
+def index(source: str, tiles: str = "", credit: str = "") -> bytes:
+    """Return the page itself.
+
+    Args:
+        source: Where its data comes from: ``live`` or ``log``.
+        tiles: Address of the tiles of a map; empty: there is none.
+        credit: What is written on the map.
+    """
     page = asset("index.html")
     assert page is not None
     missing = "" if all(asset(name) for name in CHARTS) else NO_CHARTS
     text = page.body.decode().replace("{{source}}", source).replace("{{missing}}", missing)
+    text = text.replace("{{tiles}}", escape(tiles)).replace("{{credit}}", escape(credit))
     if missing:
         lines = text.splitlines(keepends=True)
         text = "".join(line for line in lines if "uPlot." not in line)

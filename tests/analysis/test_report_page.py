@@ -22,7 +22,7 @@ from ekf_companion.analysis.report_sheet import (
     without_leaps,
 )
 from ekf_companion.cli import app
-from ekf_companion.config.config import Config
+from ekf_companion.config.config import Config, parse_config
 from ekf_companion.logs.onboard import Message, Onboard
 from ekf_companion.nav.state import Table
 from sim_autopilot.__main__ import app as simulator
@@ -326,3 +326,16 @@ def test_its_numbers_are_in_the_json_too(flown, tmp_path):
     assert found["motion"]["way_m"] > 100.0
     assert found["vibration"]["accel_clipped"] == 0
     assert {one["name"] for one in found["bands"]} >= {"aligning", "ok"}
+
+
+def test_a_map_lies_under_the_track_only_where_tiles_are_configured(flown, reported):
+    assert "tiles.example.org" not in reported[1].read_text()
+    tiles = "https://tiles.example.org/{z}/{x}/{y}.png"
+    config = parse_config({"http": {"tiles": tiles, "tiles_credit": "(c) <b>us</b>"}}, "test")
+    found = review(flown, config)
+    (track,) = report_page._track(found, Sheet(0))
+    assert len(track.x_range.renderers) == len(track.renderers) - 1  # the map widens no axis
+    text = report_page.page(found)
+    assert len(set(re.findall(r"https://tiles.example.org/1[0-9]/[0-9]+/[0-9]+.png", text))) > 3
+    assert "<b>us" not in text
+    assert "map: (c) " in text

@@ -34,6 +34,7 @@ WORDS = (
     "signing.key_file",
     "http.host",
     "http.token",
+    "http.tiles_credit",
 )
 
 
@@ -299,3 +300,21 @@ def test_a_key_that_vanished_is_no_change_of_mind(tmp_path):
     assert file.read().output.odometry.mode == "auto"  # written out; baro.std was the default
     path.write_text("link: {imu_rate: 100}\n")
     assert file.read() == file.read()
+
+
+@pytest.mark.parametrize(
+    "tiles",
+    [
+        *("https://t.example/{z}/{x}.png", "tiles", "ftp://t.example/{z}/{x}/{y}"),
+        *("https://t.example/{z}/{x}/{y}.png; script-src *", "javascript:{z}{x}{y}"),
+        *("https://t.example /{z}/{x}/{y}", "https://{s}.t.example/{z}/{x}/{y}", "//t/{z}/{x}/{y}"),
+    ],
+)
+def test_tiles_are_an_address_with_three_places_and_nothing_else(tiles):
+    with pytest.raises(ConfigError, match=r"test: http\.tiles: .* is no address of map tiles"):
+        parse_config({"http": {"tiles": tiles}}, "test")
+
+
+def test_tiles_may_have_a_port_and_a_key():
+    address = "http://10.0.0.2:8080/osm/{z}/{x}/{y}@2x.png?key=a-b_c"
+    assert parse_config({"http": {"tiles": address}}, "test").http.tiles == address

@@ -1,5 +1,6 @@
 """The page in a browser, beside the real daemon and a fake autopilot that flies."""
 
+import base64
 import contextlib
 import json
 import re
@@ -7,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 from typer.testing import CliRunner
@@ -44,11 +46,11 @@ def ports():
     return free_port(), free_port(socket.SOCK_STREAM)
 
 
-def start(folder, ports):
+def start(folder, ports, http=""):
     """Start the daemon on two ports, its link's and its page's."""
     folder.mkdir(exist_ok=True)
     port, http_port = ports
-    config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
+    config = f"http: {{port: {http_port}{http}}}\noutput: {{odometry: {{mode: always}}}}\n"
     return Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config)
 
 
@@ -301,6 +303,68 @@ def test_a_track_ends_where_nothing_comes_also_when_it_is_thinned(tmp_path, port
         assert 100 < ends <= 202
         assert begins
         assert tab.errors == []
+
+
+@contextlib.contextmanager
+def serving_tiles():
+    """Serve a picture at every address of a tile; yield the port, and what was asked for."""
+    asked = []
+    pixel = base64.b64decode(
+        "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mP8z8BQDwAEhQGAhKmMIQAAAABJRU5ErkJggg=="
+    )
+
+    class Tiles(BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            self.send_response(200)
+            self.send_header("Content-Type", "image/png")
+            self.send_header("Content-Length", str(len(pixel)))
+            self.end_headers()
+            self.wfile.write(pixel)
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Tiles) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            yield server.server_port, asked
+        finally:
+            server.shutdown()
+
+
+def test_a_map_lies_under_the_track_where_tiles_are_configured(tmp_path, ports):
+    flight = flying(f"udpout:127.0.0.1:{ports[0]}")
+    with chromium(tmp_path) as tab, flight, serving_tiles() as (port, asked):
+        tiles = (
+            f'"http://127.0.0.1:{port}/{{z}}/{{x}}/{{y}}.png", tiles_credit: "(c) <us> & \'you\'"'
+        )
+        with start(tmp_path, ports, f", tiles: {tiles}") as daemon:
+            daemon.wait_for("Status on")
+            tab.open(f"http://127.0.0.1:{ports[1]}/")
+            tab.wait_for("document.querySelector('#lat')?.textContent.startsWith('47.3')")
+            tab.value(NOTE_TEXTS)
+            tab.wait_for("window.texts.includes(\"(c) <us> & 'you'\")")
+            tab.value(
+                "(() => { const draw = CanvasRenderingContext2D.prototype.drawImage;"
+                "CanvasRenderingContext2D.prototype.drawImage = function (...of) {"
+                "window.drawn = of; draw.apply(this, of); }; })()"
+            )
+            # A square, and larger than 256 pixels while the finest of the server is too coarse
+            _, _, width, height = tab.wait_for("window.drawn?.slice(1)")
+            assert width > 120
+            assert height == pytest.approx(width, rel=0.02)
+            assert tab.errors == []
+    columns = {int(one.split("/")[2]) / 2 ** int(one.split("/")[1]) for one in asked}
+    assert all(abs(360.0 * one - 180.0 - 8.55) < 0.2 for one in columns)
+    assert all(int(one.split("/")[1]) <= 18 for one in asked)
+
+
+def test_no_other_server_is_asked_for_anything_unless_tiles_are_configured():
+    page = assets.index("live").decode()
+    assert 'data-tiles=""' in page
+    hostile = assets.index("live", "https://a.b/{z}", '"><script>alert(1)</script>').decode()
+    assert "<script>alert" not in hostile
 
 
 TAPE = """(() => {

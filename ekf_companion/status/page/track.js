@@ -1,6 +1,7 @@
 /** The track over ground, with the ellipse that encloses 95 %, and the autopilot's beside it. */
 
-import { $, colours, fixed, isKnown, open, put } from "./format.js";
+import { $, colours, isKnown, open, put } from "./format.js";
+import { drawTiles, hasTiles } from "./tiles.js";
 
 const RADIUS = 6371008.8;
 const DEGREE = (Math.PI / 180) * RADIUS;
@@ -98,6 +99,22 @@ export class Map {
     return { middle, scale: 0.86 * Math.min(width / across, height / up) };
   }
 
+  /** Draw the map under what is shown, and again when more of it has come. */
+  drawMap(c, at, [east, north], scale, width, height) {
+    const [lat0, lon0] = this.origin;
+    const cos = Math.cos((lat0 * Math.PI) / 180);
+    const placeOf = (x, y) => [lat0 + y / DEGREE, lon0 + x / (DEGREE * cos)];
+    const [right, up] = [width / 2 / scale, height / 2 / scale];
+    const again = () => {
+      this.due ??= requestAnimationFrame(() => {
+        this.due = undefined;
+        this.draw();
+      });
+    };
+    drawTiles(c, placeOf(east - right, north - up), placeOf(east + right, north + up), scale, width, height,
+      (lat, lon) => at(this.place(lat, lon)), again);
+  }
+
   draw() {
     const { context: c, width, height } = open($("map"));
     if (width < 20) return;
@@ -105,6 +122,7 @@ export class Map {
     const { middle, scale } = this.frame(width, height);
     const at = ([x, y]) => [width / 2 + (x - middle[0]) * scale, height / 2 - (y - middle[1]) * scale];
     const step = niceStep(80 / scale);
+    if (hasTiles && this.origin) this.drawMap(c, at, middle, scale, width, height);
     drawGrid(c, colour, width, height, middle, scale, step);
     put("scale", `grid ${step >= 1000 ? `${step / 1000} km` : `${step} m`}, ellipse 95 %`, "note");
     for (const name of ["autopilot", "ours"]) {
