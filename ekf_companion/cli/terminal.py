@@ -27,13 +27,10 @@ FIGURES = (".png", ".pdf", ".svg")
 
 
 def figure_name(path: Path | None) -> Path | None:
-    """Return the file of a figure: one named without a kind is a .png; refuse other kinds."""
-    with exit_on_error():
-        if path is None or path.suffix.lower() in FIGURES:
-            return path
-        if path.suffix.strip(".") or not path.name:
-            raise ConfigError(f"--plot: {path}: a figure is a .png, .pdf or .svg; name one of them")
-        return path.with_name(f"{path.name.rstrip('.')}.png")
+    """Return the file of a figure: one named without a kind is a .png."""
+    if path is None or path.suffix.strip(".") or not path.name.strip("."):
+        return path
+    return path.with_name(f"{path.name.rstrip('.')}.png")
 
 
 PlotOption = Annotated[
@@ -131,6 +128,8 @@ def check_outputs(
             raise ConfigError(f"{option}: {path}: is {other}; name another file")
         if not path.resolve().parent.is_dir():
             raise ConfigError(f"{option}: {path}: there is no such folder; make it first")
+        if option == "--plot" and path.suffix.lower() not in FIGURES and not path.is_dir():
+            raise ConfigError(f"--plot: {path}: a figure is a .png, .pdf or .svg; name one of them")
         taken[path.resolve()] = f"what {option} writes"
 
 

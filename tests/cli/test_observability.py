@@ -81,7 +81,10 @@ def test_nothing_overwrites_the_log(flown):
     assert flown["static"].read_bytes() == before
 
 
-def test_a_figure_that_cannot_be_written_ends_with_1(flown):
-    result = command(flown["static"], "--plot", "figure.unknown")
-    assert result.exit_code == 1
-    assert "the figure cannot be written" in result.stderr
+def test_a_figure_that_cannot_be_written_ends_with_a_sentence(flown, tmp_path):
+    folder = tmp_path / "figure.png"
+    folder.mkdir()
+    result = command(flown["static"], "--plot", str(folder))
+    assert result.exit_code == 3
+    assert str(folder) in result.stderr
+    assert "Traceback" not in result.output
