@@ -26,6 +26,7 @@ from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.log_source import open_log, reference, truth
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
+from ekf_companion.replay.screen import Screen
 
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
@@ -170,6 +171,7 @@ class Run(Generic[P]):
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
         self._agreement: AgreementCheck | None = None
+        self._screen = Screen()
         self._faults: list[str] = []
         self._doubts: list[str] = []
         # Columns and units of a table are declared by its user, those of the others by programs
@@ -233,6 +235,7 @@ class Run(Generic[P]):
             self.report.health = health = self.pipelines[-1].health()
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
+        self.report.notes += self._screen.notes()
         self.report.notes += self._magnetometer.notes()
         self.compare_sensors()
         self.report.is_contradictory = bool(self._faults)
@@ -307,7 +310,7 @@ class Run(Generic[P]):
         for start in range(0, self.size, CHUNK):
             self._done = min(start + CHUNK, self.size)
             events = log.events.take(np.arange(start, self._done))
-            pipeline.run_block(events)
+            pipeline.run_block(self._screen.pass_on(events))
             yield 0, b"", []
 
     def _rows(self, log: Recording) -> Iterator[Step]:
@@ -317,7 +320,9 @@ class Run(Generic[P]):
 
         pipeline = self._open_pipeline(self._config, log.family)
         publisher = Publisher(self._config, Family(log.family))
-        t_ns, kind, values = log.events.t_ns, log.events.kind, log.events.values
+        events = self._screen.pass_on(log.events)
+        self.size = len(events)
+        t_ns, kind, values = events.t_ns, events.kind, events.values
         rows = zip(t_ns.tolist(), kind.tolist(), map(tuple, values.tolist()), strict=True)
         for self._done, row in enumerate(rows, 1):
             estimate = pipeline.process_row(row)

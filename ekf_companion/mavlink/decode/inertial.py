@@ -9,7 +9,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import FIRST_OTHER, Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
-from ekf_companion.mavlink.decode.repetition import Repetition, Sample
+from ekf_companion.mavlink.decode.repetition import ZERO, Repetition, Sample
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
@@ -45,11 +45,11 @@ class Inertial:
         """The sensor in use, as HIGHRES_IMU numbers them."""
         self.instances = Preference(_STARVING)
         self.last_us = -1
-        self.repetition = Repetition()
         self.begin_stream()
 
     def begin_stream(self) -> None:
-        """Forget the stamps of the message in use."""
+        """Forget stamps and samples of the message in use: another has other numbers."""
+        self.repetition = Repetition()
         is_ms = self.sources.rank > 1
         is_sent = self._context.family is Family.ARDUPILOT
         self.dejitter: Dejitter | None = None
@@ -100,12 +100,14 @@ class Inertial:
             self._baro.add(out, 0, t_ns, pressure)
         return out
 
-    def refuse_stuck(self, why: str) -> None:
+    def refuse_stuck(self, why: str, rank: int = 0) -> None:
         """Refuse a sample because its sensor measures nothing, and tell a human."""
-        self._context.refuse(f"HIGHRES_IMU: {why}")
+        self._context.refuse(f"{SOURCES[rank]}: {why}")
+        number = self.instance if rank == 0 else max(rank - 2, 0)
+        same = "" if why == ZERO else ": it says the same again and again"
         self._context.note_once(
-            f"Inertial sensor {self.instance} is {why}: it says the same again and again, which is "
-            "not used; check the sensor, its mounting and its range"
+            f"Inertial sensor {number} is {why}{same}, which is not used; check the sensor, its "
+            "mounting and its range"
         )
 
     def _note_instance(self, instance: int, *, is_better: bool) -> None:
@@ -152,6 +154,8 @@ class Inertial:
         else:
             rates = (xgyro * 1e-3, ygyro * 1e-3, zgyro * 1e-3)
             forces = (xacc * _MILLI_G, yacc * _MILLI_G, zacc * _MILLI_G)
+            if self._is_stuck(rank, t_us, rates + forces):
+                return
             is_sure = not self._context.clock.is_in_doubt
             t_ns = self._add(out, rank, t_us, rates + forces, is_sure)
             if not is_sure:
@@ -160,6 +164,17 @@ class Inertial:
             # a third compass comes without a third inertial sensor too
             self._mag.compare(rank, t_ns, (xmag * 1e-3, ymag * 1e-3, zmag * 1e-3), rates)
         self._mag.add(out, rank, t_ns, xmag * 1e-3, ymag * 1e-3, zmag * 1e-3)
+
+    def _is_stuck(self, rank: int, t_us: int, sample: Sample) -> bool:
+        """Refuse a new sample of the message in use if its sensor measures nothing."""
+        is_new = t_us > self.last_us and not self._context.clock.is_in_doubt
+        if rank != self.sources.rank or not is_new:
+            return False
+        if (why := self.repetition.judge(t_us, sample)) is None:
+            return False
+        self.refuse_stuck(why, rank)
+        self.last_us = t_us
+        return True
 
     def _add(self, out: Measurements, rank: int, t_us: int, sample: Sample, is_sure: bool) -> int:
         """Append a sample if it is good; return the time, ns, of all that came with it.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
-from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
+from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, HeldHeading, wrap
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
+from ekf_companion.mavlink.decode.velocity import HeldVelocities
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.earth import is_place
@@ -57,6 +59,7 @@ class _Receiver:
         self.is_heard = False
         self.has_fix = False
         """Whether there was one at all."""
+        self.velocities = HeldVelocities()
 
 
 class Position:
@@ -72,6 +75,7 @@ class Position:
         """Of the autopilot's own positions."""
         self._first = _Receiver("GPS_RAW_INT", GnssFlag.NONE)
         self._second = _Receiver("GPS2_RAW", GnssFlag.SECOND)
+        self._yaw = HeldHeading()
         self._unrelated_ns: int | None = None
         self._derived_ns: int | None = None
         """When the autopilot's own position came first."""
@@ -85,15 +89,27 @@ class Position:
         m = unpack(frame)
         out = self._read(self._first, m)
         if out and 0 < m.yaw <= NORTH_CDEG:
-            out.append(
-                HeadingSample(
-                    t_ns=out[0].t_ns,
-                    heading=wrap(math.radians(m.yaw * 1e-2)),
-                    std=_yaw_std(m.hdg_acc),
-                    source=HeadingSource.GNSS,
-                )
-            )
+            self._add_yaw(out, m)
         return out
+
+    def _add_yaw(self, out: Measurements, m: Any) -> None:
+        """Append the heading of a fix, unless it is the last one again.
+
+        At rest it counts once in a second all the same.
+        """
+        t_ns, heading = out[0].t_ns, wrap(math.radians(m.yaw * 1e-2))
+        is_still = m.vel != _UNKNOWN_16 and m.vel * 1e-2 < _STD_VEL
+        if heading and (why := self._yaw.judge(t_ns, heading, is_still=is_still)) is not None:
+            self._context.refuse(f"GPS_RAW_INT: yaw {why}")
+            return
+        out.append(
+            HeadingSample(
+                t_ns=t_ns,
+                heading=heading,
+                std=_yaw_std(m.hdg_acc),
+                source=HeadingSource.GNSS,
+            )
+        )
 
     def gps2_raw(self, frame: Frame) -> Measurements:
         """Read GPS2_RAW: a receiver that stands by, for the filter to go to."""
@@ -111,7 +127,21 @@ class Position:
             # The one message before the first fix can be 140 km off
             return self._context.refuse(f"{receiver.message}: first after none")
         self._compare_heights(receiver.message, m)
-        return [self._fix(m, t_ns, receiver.flags)]
+        return [self._with_velocity(receiver, self._fix(m, t_ns, receiver.flags))]
+
+    def _with_velocity(self, receiver: _Receiver, fix: GnssFix) -> GnssFix:
+        """Return a fix without its velocity, if that is none."""
+        vel = fix.vel_north, fix.vel_east, None
+        place = fix.lat, fix.lon, fix.alt
+        why, _ = receiver.velocities.judge(fix.t_ns, place, vel, fix.std_h, fix.std_v)
+        if why is None:
+            return fix
+        self._context.refused[f"{receiver.message}: {why}"] += 1
+        self._context.note_once(
+            f"{receiver.message}: the velocity says the same again and again while the positions "
+            "move otherwise, so it is not used; check the receiver's settings"
+        )
+        return replace(fix, vel_north=None, vel_east=None, std_vel=None)
 
     def _refusal(self, receiver: _Receiver, m: Any) -> str | None:
         """Return why a message holds no new fix; None if it does."""

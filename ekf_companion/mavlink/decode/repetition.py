@@ -8,8 +8,11 @@ from __future__ import annotations
 import math
 
 import cython
+import numpy as np
+import numpy.typing as npt
 from cython.cimports.libc.math import log
 
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 Sample = tuple[float, float, float, float, float, float]
@@ -29,8 +32,12 @@ _FORCE = cython.declare(cython.double, 2.0)
 _LANDED_US = 5_000_000
 """Equal samples as of standing still may come from a simulator if they last so long."""
 
+_BEFORE_ALL_US = cython.declare(cython.longlong, -(2**62))
+"""Earlier than any stamp."""
+
 STUCK = "stuck"
 LIMITED = "at the end of its range"
+ZERO = "absent: all six numbers are zero"
 
 
 class Repetition:
@@ -50,6 +57,8 @@ class Repetition:
             self._runs[axis] = self._equal[axis] = 0
         self._pairs = 0
         self._since_us = 0
+        self._newest_us = _BEFORE_ALL_US
+        self.refused: dict[str, int] = {}
 
     def judge(self, t_us: int, sample: Sample) -> str | None:
         """Return why a sample, newer than all before, measures nothing; None if it does."""
@@ -59,6 +68,9 @@ class Repetition:
         self, t_us: int, gx: float, gy: float, gz: float, ax: float, ay: float, az: float
     ) -> str | None:
         """Judge a sample by its numbers."""
+        # In free fall there would be noise
+        if gx == 0.0 and gy == 0.0 and gz == 0.0 and ax == 0.0 and ay == 0.0 and az == 0.0:
+            return ZERO
         is_any = self._count(0, gx)
         is_any |= self._count(1, gy)
         is_any |= self._count(2, gz)
@@ -82,6 +94,38 @@ class Repetition:
         if count == 6 and not self._may_stand(t_us):
             return STUCK
         return LIMITED if 0 < count < 6 and is_large else None
+
+    def judge_rows(self, t_ns: Stamps, values: Array) -> Mask:
+        """Judge samples in the order of their arrival; return which of them measure something.
+
+        Args:
+            t_ns: Stamps, shape (n,).
+            values: Rows that begin with rate and specific force, shape (n, 6 or more).
+        """
+        is_good = np.ones(len(t_ns), dtype=np.uint8)
+        self.judge_each(t_ns, np.ascontiguousarray(values), is_good)
+        return is_good.view(np.bool_)
+
+    def judge_each(self, t_ns: Stamps, values: Array, is_good: npt.NDArray[np.uint8]) -> None:
+        """Do the work of :meth:`judge_rows`."""
+        for n in range(t_ns.shape[0]):
+            t_us = t_ns[n] // 1000
+            # What came late or twice says nothing of what is new
+            if t_us <= self._newest_us:
+                continue
+            self._newest_us = t_us
+            why = self.judge_axes(
+                t_us,
+                values[n, 0],
+                values[n, 1],
+                values[n, 2],
+                values[n, 3],
+                values[n, 4],
+                values[n, 5],
+            )
+            if why is not None:
+                is_good[n] = 0
+                self.refused[why] = self.refused.get(why, 0) + 1
 
     def _count(self, axis: int, value: float) -> bool:
         """Count whether an axis says the same again; return whether it does."""

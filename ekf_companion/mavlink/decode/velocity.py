@@ -1,0 +1,123 @@
+"""Velocities of fixes that are none: the same number again and again, while the positions move.
+
+A receiver or a driver that knows no velocity says 0, or goes on saying its last one. A velocity in
+use has noise: it does not repeat to the bit for as long as a vehicle moves. A place that jumps once,
+and a vehicle that stands where a receiver holds its place, take no velocity away.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ekf_companion.nav.earth import radii
+
+FAR = 10.0
+"""m which the positions have moved otherwise than the velocity says: more than the noise of a
+receiver in the open."""
+SIGMAS = 5.0
+"""The same in sigmas of a fix, where these are larger."""
+STEPS = 3
+"""Steps in a row, from fix to fix, all to the same side: a single one is a jump."""
+LONGEST_S = 3.0
+"""A longer step is a gap, in which the velocity may have been anything."""
+ALWAYS_ZERO = "velocity always 0"
+HELD = "velocity held"
+"""Why a velocity is none."""
+
+
+class _Place(NamedTuple):
+    t_ns: int
+    pos: tuple[float, ...]
+    """North and east, or up, m, of anywhere near."""
+    way: tuple[float, ...]
+    """That the positions have moved otherwise than the velocity said, m, since it is the same."""
+
+
+class HeldVelocity:
+    """Finds that the velocity of a receiver's fixes, or one part of it, is none."""
+
+    def __init__(self) -> None:
+        """Begin without fixes."""
+        self._vel: tuple[float, ...] = ()
+        self._last: _Place | None = None
+        self._steps = 0
+        self._is_dead = False
+
+    def judge(
+        self, t_ns: int, pos: tuple[float, ...], vel: tuple[float, ...], std: float
+    ) -> str | None:
+        """Return why the velocity of a fix is none; None if it may be one.
+
+        Args:
+            t_ns: Stamp of the fix.
+            pos: Position, m: horizontal, or up.
+            vel: Velocity in the same order, m/s.
+            std: One sigma of the position, m.
+        """
+        last = self._last
+        if vel != self._vel:
+            self._vel, self._is_dead, self._steps = vel, False, 0
+            self._last = _Place(t_ns, pos, (0.0,) * len(pos))
+            return None
+        assert last is not None, "a velocity was known before it repeats"
+        if t_ns <= last.t_ns:
+            return self._why()
+        dt = (t_ns - last.t_ns) * 1e-9
+        step = tuple(p - q - v * dt for p, q, v in zip(pos, last.pos, vel, strict=True))
+        along = sum(s * w for s, w in zip(step, last.way, strict=True))
+        is_begin = not any(last.way)
+        if dt > LONGEST_S or not (is_begin or along > 0.0) or not any(step):
+            step, self._steps = (0.0,) * len(pos), 0
+            way = step
+        else:
+            self._steps += 1
+            way = tuple(w + s for w, s in zip(last.way, step, strict=True))
+        self._last = _Place(t_ns, pos, way)
+        far = max(FAR, SIGMAS * std)
+        self._is_dead |= self._steps >= STEPS and math.hypot(*way) > far
+        return self._why()
+
+    def _why(self) -> str | None:
+        if not self._is_dead:
+            return None
+        return HELD if any(self._vel) else ALWAYS_ZERO
+
+
+class HeldVelocities:
+    """Judges the horizontal and the vertical velocity of one receiver's fixes, each by itself."""
+
+    def __init__(self) -> None:
+        """Begin without fixes."""
+        self._horizontal, self._vertical = HeldVelocity(), HeldVelocity()
+        self._scale: tuple[float, float] | None = None
+
+    def judge(
+        self,
+        t_ns: int,
+        place: tuple[float, float, float],
+        vel: tuple[float | None, float | None, float | None],
+        std_h: float,
+        std_v: float,
+    ) -> tuple[str | None, str | None]:
+        """Return why the horizontal and the vertical velocity of a fix are none, or None each.
+
+        Args:
+            t_ns: Stamp of the fix.
+            place: Latitude, longitude (rad) and altitude (m).
+            vel: North, east, down, m/s; None: not known.
+            std_h: One sigma of the horizontal position per axis, m.
+            std_v: One sigma of the altitude, m.
+        """
+        lat, lon, alt = place
+        if self._scale is None:
+            meridian, transverse = radii(lat)
+            self._scale = float(meridian), float(transverse) * math.cos(lat)
+        north, east, down = vel
+        why_h = why_v = None
+        if north is not None and east is not None:
+            pos = lat * self._scale[0], lon * self._scale[1]
+            why_h = self._horizontal.judge(t_ns, pos, (north, east), std_h)
+        if down is not None:
+            why_v = self._vertical.judge(t_ns, (alt,), (-down,), std_v)
+        return why_h, why_v

@@ -1,0 +1,155 @@
+"""Rows of a log that are no measurement, whatever its format: they are left out, and named.
+
+What a telemetry log holds is judged by the readers of its messages, by the same rules.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from ekf_companion.mavlink.decode.heading import REPEATED, ZERO, HeldHeading
+from ekf_companion.mavlink.decode.repetition import Repetition
+from ekf_companion.mavlink.decode.velocity import ALWAYS_ZERO, HELD, HeldVelocities
+from ekf_companion.nav.arrays import Array, Indices, Mask
+from ekf_companion.nav.earth import is_place
+from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, Kind
+
+_NAMES = {
+    Kind.IMU: "inertial samples",
+    Kind.GNSS: "fixes",
+    Kind.HEADING: "headings",
+    Kind.MAG: "magnetic fields",
+}
+NO_PLACE = "without a place, as latitude and longitude 0"
+NO_FIELD = "of zeros"
+STUCK_SENSOR = "of a sensor that is {}"
+_WORDS = {
+    ZERO: "{} of {} {} are 0 where there is none: they were not used",
+    REPEATED: "{} of {} {} repeat the one before while the vehicle turns, or within a second: they "
+    "are held between updates, and were not used",
+    ALWAYS_ZERO: "the velocity of {} of {} {} is 0 while the positions move: it is none, and was "
+    "not used; check the receiver's settings, or leave it out",
+    HELD: "the velocity of {} of {} {} repeats the one before while the positions move otherwise: "
+    "it is held, and was not used",
+    f"vertical {ALWAYS_ZERO}": "the vertical velocity of {} of {} {} is 0 while the heights move: "
+    "it is none, and was not used",
+    f"vertical {HELD}": "the vertical velocity of {} of {} {} repeats the one before while the "
+    "heights move otherwise: it is held, and was not used",
+}
+VERTICAL = 5
+"""Column of the velocity down."""
+
+
+GYRO_BIAS = 0.005
+"""rad/s: a gyro may seem to turn so fast when it does not, after its autopilot's calibration."""
+LONGEST_STEP = 1.0
+"""s; what a gyro turned in a longer gap is not known."""
+
+
+class Screen:
+    """Leaves out of events, in the order of their arrival, what is no measurement."""
+
+    def __init__(self) -> None:
+        """Begin before the first event."""
+        self.refused: Counter[tuple[Kind, str]] = Counter()
+        """How many, by kind and reason."""
+        self._total: Counter[Kind] = Counter()
+        self._repetition = Repetition()
+        self._velocities = HeldVelocities()
+        self._headings: dict[float, HeldHeading] = {}  # by source
+        self._since: dict[float, tuple[int, Array]] = {}  # time and attitude of the last new one
+        self._imu_ns: int | None = None
+        self._turned: Array = np.zeros(3)
+
+    def pass_on(self, events: Events) -> Events:
+        """Return the next events without those that are no measurement."""
+        is_good = np.ones(len(events), dtype=np.bool_)
+        kinds = {kind: np.flatnonzero(events.kind == kind) for kind in _NAMES}
+        for kind, rows in kinds.items():
+            self._total[kind] += len(rows)
+        imu, mag = kinds[Kind.IMU], kinds[Kind.MAG]
+        turned = self._turns(events, imu)
+        is_good[kinds[Kind.HEADING]] = self._are_headings(events, kinds[Kind.HEADING], turned)
+        is_good[imu] = self._repetition.judge_rows(events.t_ns[imu], events.values[imu, :6])
+        is_good[mag] = events.values[mag, :3].any(axis=1)
+        self._count(Kind.MAG, NO_FIELD, int(np.count_nonzero(~is_good[mag])))
+        is_good[kinds[Kind.GNSS]] = self._are_places(events, kinds[Kind.GNSS])
+        events = self._without_velocities(events, kinds[Kind.GNSS])
+        return events if is_good.all() else events.take(is_good)
+
+    def notes(self) -> list[str]:
+        """Return a sentence for each thing that was left out."""
+        found = Counter(self.refused)
+        for why, count in self._repetition.refused.items():
+            found[Kind.IMU, STUCK_SENSOR.format(why)] += count
+        return [
+            _WORDS.get(why, "{} of {} {} {}: they were not used").format(
+                count, self._total[kind], _NAMES[kind], why
+            )
+            for (kind, why), count in found.items()
+        ]
+
+    def _count(self, kind: Kind, why: str, count: int = 1) -> None:
+        if count:
+            self.refused[kind, why] += count
+
+    def _turns(self, events: Events, imu: Indices) -> Array:
+        """Return by how much the gyro had turned in all, rad: before, and at each sample."""
+        if not len(imu):
+            return self._turned[None]
+        t_ns = events.t_ns[imu]
+        first = t_ns[0] if self._imu_ns is None else self._imu_ns
+        dt = np.clip(np.diff(t_ns, prepend=first) * 1e-9, 0.0, LONGEST_STEP)
+        steps = np.nan_to_num(events.values[imu, :3]) * dt[:, None]
+        turned = np.cumsum([self._turned, *steps], axis=0)
+        self._imu_ns, self._turned = int(t_ns[-1]), turned[-1]
+        return np.asarray(turned)
+
+    def _are_headings(self, events: Events, rows: Indices, turned: Array) -> Mask:
+        """Return which headings are new ones."""
+        is_good = np.ones(len(rows), dtype=np.bool_)
+        at = np.searchsorted(np.flatnonzero(events.kind == Kind.IMU), rows)
+        for n, row in enumerate(rows.tolist()):
+            heading, std, source = events.values[row, :3].tolist()
+            t_ns, now = int(events.t_ns[row]), turned[at[n]]
+            judge = self._headings.setdefault(source, HeldHeading())
+            since_ns, then = (
+                self._since[source] if judge.is_repeated(heading) else (t_ns, now)
+            )
+            angle = float(np.linalg.norm(now - then)) - GYRO_BIAS * abs(t_ns - since_ns) * 1e-9
+            why = judge.judge(t_ns, heading, is_still=angle < std)
+            if why is None:
+                self._since[source] = since_ns, then
+            else:
+                is_good[n] = False
+                self._count(Kind.HEADING, why)
+        return is_good
+
+    def _are_places(self, events: Events, rows: Indices) -> Mask:
+        """Return which fixes have a place, or are not finite, which the filter counts."""
+        lat, lon = np.rad2deg(events.values[rows, :2]).T
+        is_good = np.asarray(is_place(lat, lon) | ~np.isfinite(lat + lon), dtype=np.bool_)
+        self._count(Kind.GNSS, NO_PLACE, int(np.count_nonzero(~is_good)))
+        return is_good
+
+    def _without_velocities(self, events: Events, rows: Indices) -> Events:
+        """Return the events without the velocities of fixes that are none."""
+        values = events.values
+        for row in rows.tolist():
+            lat, lon, alt, *vel, std_h, std_v = values[row, :8].tolist()
+            if not is_place(lat, lon):
+                continue
+            known = [None if one != one else one for one in vel]
+            north, east, down = known if None not in known[:2] else (None, None, known[2])
+            t_ns, place = int(events.t_ns[row]), (lat, lon, alt)
+            why_h, why_v = self._velocities.judge(t_ns, place, (north, east, down), std_h, std_v)
+            if (why := why_h or why_v) is None:
+                continue
+            if values is events.values:
+                values = values.copy()
+            values[row, GNSS_VELOCITY if why_h else VERTICAL] = np.nan
+            self._count(Kind.GNSS, why if why_h else f"vertical {why}")
+        return events if values is events.values else replace(events, values=values)
