@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.nav.arrays import Array, Mask, Stamps
+from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 
 Spans = list[tuple[int, int]]
 """First and last stamp of each stretch of time, ns, ascending."""
@@ -21,6 +21,10 @@ GAP_NS = 60_000_000_000
 """Step forward beyond which the same holds."""
 FEW = 0.01
 """Share of all rows below which a stretch between two jumps counts as damage."""
+MOST_STRETCHES = 100_000
+"""Beyond, the stamps are not those of a clock, and each jump of it begins another."""
+MOST_APART = 8
+"""Runs of rows with damaged stamps that may follow each other before the clock goes on."""
 MARGIN_NS = 2_000_000_000
 """How far outside the inertial samples' time other rows still belong to the same clock run."""
 LATEST_US = 2**62 // 1000
@@ -44,8 +48,10 @@ def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
     """Find the one run of the clock that holds most rows.
 
     Rows are split into stretches where the clock jumps, back by more than ``BACK_NS`` or forward
-    by more than ``GAP_NS``. Stretches of few rows are dropped as damage; of all chains of the
-    others in which time ascends, the one with most rows is kept.
+    by more than ``GAP_NS``. A stretch that goes on where an earlier one ended, with a few rows of
+    other stamps between, belongs to it: a damaged stamp costs its own row. Stretches of few rows
+    are dropped as damage; of all chains of the others in which time ascends, the one with most
+    rows is kept.
 
     Returns:
         Which rows belong to the run, and its stretches of time.
@@ -64,6 +70,31 @@ def in_ranges(ranges: Ranges, first: int, count: int) -> Mask:
 
 def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
     """Find the same in stamps that come part by part; return ranges of rows, and of time."""
+    first, low, high, rows = _stretches(parts)
+    if not rows:
+        return [], []
+    end = np.append(first[1:], rows)
+    group = _groups(low, high, end - first, max(FEW * rows, 1.0))
+    places: dict[int, list[int]] = {}
+    for place, number in enumerate(group):
+        places.setdefault(number, []).append(place)
+    weights = {one: int((end[of] - first[of]).sum()) for one, of in places.items()}
+    # 0 is no time where others are far from it
+    timed = [one for one in weights if low[one] or high[one]] or list(weights)
+    enough = [one for one in timed if weights[one] >= FEW * rows]
+    enough = enough or [max(timed, key=lambda one: weights[one])]
+    lows = np.array([low[one] for one in enough])
+    highs = np.array([high[places[one][-1]] for one in enough])
+    chain = _heaviest_chain(lows, highs, np.array([weights[one] for one in enough]))
+    chosen = sorted(place for index in chain for place in places[enough[index]])
+    return (
+        _joined([(int(first[place]), int(end[place])) for place in chosen]),
+        [(int(lows[index]), int(highs[index])) for index in chain],
+    )
+
+
+def _stretches(parts: Iterable[Stamps]) -> tuple[Indices, Stamps, Stamps, int]:
+    """Return of each stretch without a jump its first row, first and last stamp; and the rows."""
     firsts: list[Stamps] = []
     lows: list[Stamps] = []
     highs: list[Stamps] = []
@@ -72,7 +103,7 @@ def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
         if not len(t_ns):
             continue
         step = np.diff(t_ns, prepend=last if rows else t_ns[0])
-        cuts = np.flatnonzero((step < -BACK_NS) | (step > GAP_NS))
+        cuts = np.flatnonzero(np.abs(step) > BACK_NS)
         if rows:
             highs.append(np.where(cuts > 0, t_ns[cuts - 1], last))
         else:
@@ -82,18 +113,48 @@ def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
         lows.append(t_ns[cuts])
         rows, last = rows + len(t_ns), t_ns[-1]
     if not rows:
-        return [], []
-    first, low = np.concatenate(firsts), np.concatenate(lows)
-    end, high = np.append(first[1:], rows), np.append(np.concatenate(highs), last)
-    enough = (end - first) >= FEW * rows
-    if not enough.any():
-        enough[np.argmax(end - first)] = True
-    first, end, low, high = first[enough], end[enough], low[enough], high[enough]
-    chain = _heaviest_chain(low, high, end - first)
-    return (
-        [(int(first[index]), int(end[index])) for index in chain],
-        [(int(low[index]), int(high[index])) for index in chain],
-    )
+        nothing = np.zeros(0, dtype=np.int64)
+        return nothing, nothing, nothing, 0
+    high = np.append(np.concatenate(highs), last)
+    return np.concatenate(firsts), np.concatenate(lows), high, rows
+
+
+def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
+    """Return of each stretch the number of the first one that it goes on from.
+
+    It goes on from the one before where it follows within ``GAP_NS``, or from an earlier one that
+    only a few rows part from it, whose stamps are damaged: a single row of stamp 0.
+    """
+    if len(low) > MOST_STRETCHES:
+        step = low[1:] - high[:-1]
+        cuts = np.append(0, np.flatnonzero((step < -BACK_NS) | (step > GAP_NS)) + 1)
+        return [int(one) for one in np.repeat(cuts, np.diff(np.append(cuts, len(low))))]
+    group: list[int] = []
+    for here, begin in enumerate(low.tolist()):
+        best, between = -1, 0
+        for place in range(here - 1, max(here - 1 - MOST_APART, -1), -1):
+            is_time = bool(low[place] or high[place])
+            if is_time and -BACK_NS <= begin - high[place] <= GAP_NS:
+                if best < 0 or abs(begin - high[place]) < abs(begin - high[best]):
+                    best = place
+            between += int(rows[place])
+            if between > few:
+                break
+        group.append(here if best < 0 else group[best])
+        if best >= 0:
+            group[best + 1 : here] = range(best + 1, here)
+    return group
+
+
+def _joined(ranges: Ranges) -> Ranges:
+    """Return ranges, ascending, with those that touch made one."""
+    found: Ranges = []
+    for begin, end in ranges:
+        if found and found[-1][1] == begin:
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((begin, end))
+    return found
 
 
 def _heaviest_chain(low: Stamps, high: Stamps, rows: Stamps) -> list[int]:
