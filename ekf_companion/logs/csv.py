@@ -51,7 +51,7 @@ from ekf_companion.logs.csv_columns import (
     from_map,
 )
 from ekf_companion.logs.csv_events import Columns, EventMaker
-from ekf_companion.logs.recording import Damage, Recording
+from ekf_companion.logs.recording import Damage, Recording, misfits
 from ekf_companion.logs.spool import Spool
 from ekf_companion.logs.spooled_events import SpooledEvents
 from ekf_companion.logs.table import AT_ONCE, Table
@@ -116,6 +116,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
         family="unknown",
         events=events,
         notes=tuple(notes),
+        lost_share=lost / max(rows_in_all, 1),
         damage=Damage(f"{lost} rows dropped", lost / rows_in_all) if lost else Damage(),
         zero_height=zero_height,
     )
@@ -192,9 +193,8 @@ class _Clock:
 
     def notes(self) -> Iterator[str]:
         """Return what is to be said about rows that were dropped."""
-        if self.lost:
-            why = "without a time, or one that does not fit the rest"
-            yield f"{self.lost} rows {why}, were dropped"
+        why = "without a time, or one that does not fit the rest,"
+        yield from misfits(self.lost, len(self._rows), why)
 
     def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
         """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""

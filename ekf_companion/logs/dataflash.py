@@ -82,7 +82,7 @@ def read(path: Path) -> Recording:
     found, notes, others, damage = read_tables(path, READ)
     said = {name for name, table in found.items() if len(table)} | others
     is_cut = not said - (DEFINITIONS if CUT in damage.words else {"FMT"})
-    stored = choose(found, others, notes)
+    stored, extent_ns = choose(found, others, notes)
     tables = {name: table.all() for name, table in stored.items() if name not in STREAMED}
     turn = _to_vehicle(tables, notes)
 
@@ -131,6 +131,7 @@ def read(path: Path) -> Recording:
         gnss_delay=_gnss_delay(tables),
         notes=tuple(notes),
         damage=damage,
+        extent_ns=extent_ns,
         began_s=_began_s(stored, _utc_zero_ns(tables)),
         utc_zero_ns=_utc_zero_ns(tables),
         onboard=text_of(tables, message_ns),

@@ -13,6 +13,7 @@ import numpy as np
 
 from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import Tables
+from ekf_companion.logs.series import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Mask, Stamps
 
@@ -47,8 +48,10 @@ READ: dict[str, tuple[str, ...] | None] = {
 """The columns that are read of each message; None: all. Of inertial samples there are millions."""
 
 
-def choose(tables: Tables, others: Collection[str], notes: list[str]) -> Tables:
+def choose(tables: Tables, others: Collection[str], notes: list[str]) -> tuple[Tables, Extent]:
     """Keep the usable messages of the first sensor, on one clock run; note what is left out.
+
+    Also return from when to when the log's sensors spoke, of which samples may be a part.
 
     ``others`` are the names of messages that the log holds besides the tables.
     """
@@ -71,10 +74,10 @@ def choose(tables: Tables, others: Collection[str], notes: list[str]) -> Tables:
         name: _on_run(table, runs[name]) if name in runs else table
         for name, table in tables.items()
     }
-    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
-    if wild := sum(len(tables[name]) - len(kept[name]) for name in sensors if name in tables):
-        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    return {name: table for name, table in kept.items() if len(table)}
+    sensors = [name for name in ("IMU", "GPS", "MAG", "BARO", "ATT") if name in tables]
+    notes += series.left_out(runs, {one: (len(tables[one]), len(kept[one])) for one in sensors})
+    extent = series.extent(runs, sensors, "IMU")
+    return {name: table for name, table in kept.items() if len(table)}, extent
 
 
 def _on_run(table: StoredRows, run: series.CommonRun) -> StoredRows:

@@ -48,6 +48,24 @@ class Damage(NamedTuple):
 UNDAMAGED = Damage()
 
 
+OFTEN = 0.5
+"""Share of rows beyond which it is most of them."""
+
+
+def misfits(lost: int, total: int, words: str) -> list[str]:
+    """Return a note on rows that were dropped, in words, for their stamps; none if there are none.
+
+    Of most of all rows it says what that comes from.
+    """
+    if not lost:
+        return []
+    why = (
+        ": they are not in the order of their times, or of several clocks; sort them by time, or "
+        "run each recording by itself"
+    )
+    return [f"{lost} rows {words} were dropped{why if lost > OFTEN * total else ''}"]
+
+
 def damaged_places(count: int) -> str:
     """Return what a file has so many of."""
     return "a damaged place" if count == 1 else f"{count} damaged places"
@@ -95,6 +113,10 @@ class Recording:
     notes: tuple[str, ...] = field(default=())
     """What the user should know about the file, one sentence each."""
     damage: Damage = UNDAMAGED
+    lost_share: float = 0.0
+    """Of its rows: left out, for they have no time, or one that does not fit the others."""
+    extent_ns: tuple[int, int] = (0, 0)
+    """First and last stamp of the log's sensors, where its events are a part of them; or 0, 0."""
     began_s: float | None = None
     """When the recording began, s since 1970, UTC; None: the log does not say."""
     utc_zero_ns: int | None = None

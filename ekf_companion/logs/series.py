@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.logs.recording import misfits
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 
 Spans = list[tuple[int, int]]
@@ -180,6 +181,8 @@ class CommonRun(NamedTuple):
     """Of the rows on the table's own run."""
     spans: Spans
     """Of the other's run; empty: any."""
+    own: Spans = []
+    """Of the table's own run."""
 
     def holds(self, first: int, t_ns: Stamps) -> Mask:
         """Return which of some rows, from one on, by their stamps."""
@@ -205,9 +208,54 @@ def common_run(
     runs = {name: clock_run_of_parts(parts) for name, parts in stamps.items()}
     spans = runs[main][1] if main in runs else []
     return {
-        name: CommonRun(ranges, [] if name in apart else spans)
-        for name, (ranges, _) in runs.items()
+        name: CommonRun(ranges, [] if name in apart else spans, own)
+        for name, (ranges, own) in runs.items()
     }
+
+
+Extent = tuple[int, int]
+"""First and last stamp of a log, ns."""
+
+
+def extent(runs: Mapping[str, CommonRun], names: Iterable[str], main: str) -> Extent:
+    """Return the first and last stamp of tables on a clock with the table ``main``, ns.
+
+    A table whose own run touches the time of ``main`` tells when the log began and ended, though
+    only its rows within that time are used.
+    """
+    spans = runs[main].own if main in runs else []
+    near = [
+        span
+        for name in names
+        if name in runs and touches(runs[name].own, spans)
+        for span in runs[name].own
+    ]
+    near += spans
+    return min((a for a, _ in near), default=0), max((b for _, b in near), default=0)
+
+
+def touches(spans: Spans, others: Spans) -> bool:
+    """Return whether stretches of time have any time in common."""
+    return any(a <= d and c <= b for a, b in spans for c, d in others)
+
+
+def left_out(runs: Mapping[str, CommonRun], rows: Mapping[str, tuple[int, int]]) -> list[str]:
+    """Return notes on rows that are not used for their stamps.
+
+    Args:
+        runs: Of the tables.
+        rows: Of each table by name: how many there are, and how many are used.
+    """
+    whole, used = (sum(of[index] for of in rows.values()) for index in (0, 1))
+    outside = sum(
+        sum(end - first for first, end in runs[name].ranges) - used_of
+        for name, (_, used_of) in rows.items()
+        if name in runs and runs[name].spans and touches(runs[name].own, runs[name].spans)
+    )
+    found = misfits(whole - used - outside, whole, "whose time stamps do not fit the log's clock")
+    if outside:
+        found.append(f"{outside} rows before or after the inertial samples were left out")
+    return found
 
 
 def ascending(t_ns: Stamps) -> Mask:

@@ -92,7 +92,7 @@ def read(path: Path) -> Recording:
         count = len(log.dropouts)
         dropouts = counted(count, "dropout")
         notes.append(f"{dropouts}, {lost:.1f} s in all, while the log was written")
-    stored = choose(log, notes)
+    stored, extent_ns = choose(log, notes)
     topics = {name: columns_of(rows.all()) for name, rows in stored.items() if name not in STREAMED}
     gnss_delay, is_taken_off = _gnss_delay(log, _receiver(topics))
     if is_taken_off:
@@ -137,6 +137,7 @@ def read(path: Path) -> Recording:
         gnss_delay=gnss_delay,
         notes=tuple(notes),
         damage=_damage(log, stored),
+        extent_ns=extent_ns,
         began_s=_began_s(stored, _utc_zero_ns(topics)),
         utc_zero_ns=_utc_zero_ns(topics),
         onboard=log.onboard(),

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series, ulog_messages
+from ekf_companion.logs.series import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.nav import so3
@@ -45,6 +46,14 @@ _TOPICS: dict[str, tuple[str, ...]] = {
     "vehicle_global_position_groundtruth": _GLOBAL,
 }
 """The topics that are used, and the fields that each needs."""
+_SENSORS = (
+    "sensor_combined",
+    "vehicle_gps_position",
+    "sensor_gps",
+    "vehicle_magnetometer",
+    "sensor_mag",
+    "vehicle_air_data",
+)
 
 NO_SAMPLE = 2**31 - 1
 """sensor_combined.*_timestamp_relative: RELATIVE_TIMESTAMP_INVALID."""
@@ -69,8 +78,10 @@ def load(path: Path) -> Messages:
     return ulog_messages.read(path, _TOPICS, UNUSED)
 
 
-def choose(log: Messages, notes: list[str]) -> Stored:
+def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
     """Return each topic's first instance that has the fields needed, on one clock run.
+
+    Also return from when to when the log's sensors spoke, of which samples may be a part.
 
     Rows whose stamps are damaged, or of another boot, are dropped.
     """
@@ -81,9 +92,9 @@ def choose(log: Messages, notes: list[str]) -> Stored:
     stamps = {name: stamps_of(rows) for name, rows in found.items()}
     runs = series.common_run(stamps, "sensor_combined")
     kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}
-    if wild := sum(len(found[name]) - len(kept[name]) for name in found):
-        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    return {name: rows for name, rows in kept.items() if len(rows)}
+    notes += series.left_out(runs, {one: (len(found[one]), len(kept[one])) for one in found})
+    extent = series.extent(runs, [name for name in _SENSORS if name in found], "sensor_combined")
+    return {name: rows for name, rows in kept.items() if len(rows)}, extent
 
 
 def _on_run(rows: StoredRows, run: series.CommonRun) -> StoredRows:

@@ -16,6 +16,8 @@ from ekf_companion.logs.recording import UNDAMAGED, Damage
 from ekf_companion.nav.arrays import median
 from ekf_companion.nav.measurements import Events, Kind, of_receiver
 from ekf_companion.nav.state import Status, Table, Trajectory
+from ekf_companion.replay.extent import Extent
+from ekf_companion.replay.screen import StampCount
 from ekf_companion.replay.track import Track
 
 _SLOW = 20.0
@@ -49,6 +51,10 @@ class Report:
     """Of the telemetry's frames: lost on the link, by their numbers."""
     is_contradictory: bool = False
     """Whether a note says that units, signs, order or axes of a table cannot be meant."""
+    stamps: StampCount = StampCount(0)
+    """Of the inertial samples, and how many of them cannot be right."""
+    extent: Extent = field(default_factory=Extent)
+    """From when to when the log's sensors spoke."""
     track: Track = field(default_factory=Track)
     """The positions, to compare with those below."""
     fix_delay: float = 0.0
@@ -107,6 +113,7 @@ def add_block(report: Report, events: Events, table: Table) -> None:
     report.derived += int(np.count_nonzero(events.kind == Kind.GNSS)) - len(events.t_ns[is_fix])
     report.estimates += len(table)
     report.track.add(events, table)
+    report.extent.add(events)
     if len(table) > 1:
         status = table.column("status")[1:]
         spans = np.diff(table.stamp_ns) * 1e-9
@@ -140,6 +147,11 @@ def note_shortcomings(report: Report, path: Path) -> None:
             f"{strays} inertial samples are stamped ahead of those after them, and were not used"
         )
     rate = report.rates.get(Kind.IMU, 0.0)
+    if report.stamps.note:
+        report.notes.append(report.stamps.note)
+    if report.stamps.is_most:  # what is lacking besides follows from that
+        _check_estimated(report, path)
+        return
     if rate < _SLOW:
         report.notes.append(
             f"inertial samples come at {rate:.1f} Hz, below the {_SLOW:.0f} Hz that motion can be "
@@ -173,6 +185,15 @@ def note_shortcomings(report: Report, path: Path) -> None:
             "A magnetic field that is not the Earth's is refused (heading.field_strength, "
             "heading.field_dip); heading.source says who is asked"
         )
+    _check_estimated(report, path)
+
+
+def _check_estimated(report: Report, path: Path) -> None:
+    """Refuse a log from which nothing could be estimated.
+
+    Raises:
+        LogError: It is refused.
+    """
     if report.estimates == 0 or set(report.seconds) <= _WITHOUT_NORTH:
         what = "; ".join(report.notes) or "the log is too short to find down and north in it"
         raise LogError(f"{path}: nothing could be estimated: {what}")

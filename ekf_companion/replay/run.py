@@ -26,7 +26,7 @@ from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.log_source import open_log, reference, truth
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
-from ekf_companion.replay.screen import Screen
+from ekf_companion.replay.screen import Screen, StampCount
 
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
@@ -183,6 +183,8 @@ class Run(Generic[P]):
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
             self.report.family = self.log.family
+            if any(self.log.extent_ns):
+                self.report.extent.widen(*self.log.extent_ns)
             self.size, self.gnss_delay = len(self.log.events), self.log.gnss_delay
         else:
             self.size, self.gnss_delay = len(self.log), None
@@ -236,6 +238,7 @@ class Run(Generic[P]):
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self.report.notes += self._screen.notes()
+        self.report.stamps = self._stamps()
         self.report.notes += self._magnetometer.notes()
         self.compare_sensors()
         self.report.is_contradictory = bool(self._faults)
@@ -243,6 +246,16 @@ class Run(Generic[P]):
         note_shortcomings(self.report, self._path)
         self.report.own, self.report.truth = reference(self.log), truth(self.log)
         return self.report
+
+    def _stamps(self) -> StampCount:
+        """Return what is known of the inertial samples' stamps."""
+        if isinstance(self.log, Recording):
+            return self._screen.stamps._replace(lost_share=self.log.lost_share)
+        from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
+
+        refused = self.report.refused
+        repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
+        return StampCount(self.report.counts[Kind.IMU] + repeated + back, repeated, back)
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""

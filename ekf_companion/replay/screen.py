@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,51 @@ VERTICAL = 5
 """Column of the velocity down."""
 
 
+OFTEN, RARELY = 0.5, 0.05
+"""Shares of the inertial samples with a stamp that cannot be: most, and more than some."""
+
+
+class StampCount(NamedTuple):
+    """Inertial samples, and how many of them have the stamp of one before, or an earlier one."""
+
+    total: int
+    repeated: int = 0
+    back: int = 0
+    lost_share: float = 0.0
+    """Of the rows of the file: left out, for they have no time or one that does not fit."""
+
+    @property
+    def words(self) -> str:
+        """What is wrong with them, in a few words; empty: nothing."""
+        if self.lost_share > OFTEN:
+            return "the times of most rows do not fit each other"
+        if self.repeated > RARELY * self.total:
+            return "inertial samples share their stamps"
+        return "samples not in the order of their stamps" if self.back > RARELY * self.total else ""
+
+    @property
+    def note(self) -> str:
+        """A sentence of it; empty: nothing is wrong."""
+        if self.repeated > RARELY * self.total:
+            return (
+                f"{self.repeated} of {self.total} inertial samples have the stamp of the one "
+                "before, so they count as one: the stamps are repeated, or have lost digits "
+                "(1.73234e+09 holds six of them); write each sample's own time, with all digits"
+            )
+        if self.back > RARELY * self.total:
+            return (
+                f"{self.back} of {self.total} inertial samples are stamped earlier than the one "
+                "before: the rows are not in the order of their times; sort them by time"
+            )
+        return ""
+
+    @property
+    def is_most(self) -> bool:
+        """Whether it is so of most samples."""
+        worst = max(self.repeated, self.back)
+        return worst > OFTEN * self.total or self.lost_share > OFTEN
+
+
 GYRO_BIAS = 0.005
 """rad/s: a gyro may seem to turn so fast when it does not, after its autopilot's calibration."""
 LONGEST_STEP = 1.0
@@ -62,6 +108,7 @@ class Screen:
         self._headings: dict[float, HeldHeading] = {}  # by source
         self._since: dict[float, tuple[int, Array]] = {}  # time and attitude of the last new one
         self._imu_ns: int | None = None
+        self._repeated = self._back = 0
         self._turned: Array = np.zeros(3)
 
     def pass_on(self, events: Events) -> Events:
@@ -92,6 +139,11 @@ class Screen:
             for (kind, why), count in found.items()
         ]
 
+    @property
+    def stamps(self) -> StampCount:
+        """Return what is known of the inertial samples' stamps."""
+        return StampCount(self._total[Kind.IMU], self._repeated, self._back)
+
     def _count(self, kind: Kind, why: str, count: int = 1) -> None:
         if count:
             self.refused[kind, why] += count
@@ -101,8 +153,10 @@ class Screen:
         if not len(imu):
             return self._turned[None]
         t_ns = events.t_ns[imu]
-        first = t_ns[0] if self._imu_ns is None else self._imu_ns
+        first = t_ns[0] - 1 if self._imu_ns is None else self._imu_ns
         dt = np.clip(np.diff(t_ns, prepend=first) * 1e-9, 0.0, LONGEST_STEP)
+        self._repeated += int(np.count_nonzero(np.diff(t_ns, prepend=first) == 0))
+        self._back += int(np.count_nonzero(t_ns < np.append(first, t_ns[:-1])))
         steps = np.nan_to_num(events.values[imu, :3]) * dt[:, None]
         turned = np.cumsum([self._turned, *steps], axis=0)
         self._imu_ns, self._turned = int(t_ns[-1]), turned[-1]

@@ -111,7 +111,7 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     """Judge the estimate of a whole log."""
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
-    parts = [_of_table(report), _of_gap(report), _of_samples(rate), _of_file(report)]
+    parts = [_of_table(report), _of_stamps(report), _of_gap(report), _of_samples(rate), _of_file(report)]
     departure = Reasons(*map(tuple, evidence.departure.reasons()))
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
@@ -243,13 +243,20 @@ def _of_table(report: Report) -> Reasons:
     return Reasons(poor=("the units or axes look wrong",) if report.is_contradictory else ())
 
 
+def _of_stamps(report: Report) -> Reasons:
+    """Judge whether the inertial samples have stamps of their own, in order."""
+    words = (report.stamps.words,) if report.stamps.words else ()
+    return Reasons(poor=words) if report.stamps.is_most else Reasons(fair=words)
+
+
 def _of_gap(report: Report) -> Reasons:
-    """Judge the longest time without inertial samples."""
+    """Judge the longest time without inertial samples, and their begin and end in the log."""
     seconds, begin_s = report.track.gap()
+    ends = tuple(report.extent.lacks())
     words = (f"no inertial samples for {seconds:.{int(seconds < 10.0)}f} s at {begin_s:.0f} s",)
     if seconds > LONG_GAP:
-        return Reasons(fair=words)
-    return Reasons(aside=words if seconds > SHORT_GAP else ())
+        return Reasons(fair=words + ends)
+    return Reasons(fair=ends, aside=words if seconds > SHORT_GAP else ())
 
 
 def _of_samples(rate: float) -> Reasons:

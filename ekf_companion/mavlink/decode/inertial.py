@@ -25,6 +25,8 @@ PRESSURE = 0x200
 """Bits of HIGHRES_IMU.fields_updated."""
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
+REPEATED, OUT_OF_ORDER = "stamp repeated", "out of order"
+"""Why a sample is refused for its stamp."""
 _STARVING = 0.25
 """A finer sensor at less than a quarter of the rate of a coarser one loses more than it gains."""
 
@@ -189,7 +191,7 @@ class Inertial:
         elif rank != self.sources.sole and not self.sources.admit(rank, t_ns):
             context.refuse("IMU: a better source speaks")
         elif t_us == self.last_us:
-            context.refuse("IMU: stamp repeated")
+            context.refuse(f"IMU: {REPEATED}")
         else:
             if rank != was:
                 self._note_source(was, rank)
@@ -205,7 +207,7 @@ class Inertial:
             if self.dejitter is not None:
                 sampled = self.dejitter.smooth(t_us)
                 if sampled is None:
-                    context.refuse("IMU: out of order")
+                    context.refuse(f"IMU: {OUT_OF_ORDER}")
                     return t_ns
                 t_ns = sampled
             out.append(ImuSample(t_ns, *sample))
