@@ -9,13 +9,14 @@ AP_InertialSensor, AP_Compass, AP_Baro, AP_AHRS, AP_NavEKF3 and SITL (fields, un
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import series
+from ekf_companion.logs import receiver_time, series
 from ekf_companion.logs.dataflash_records import OFFSET, Tables, read_tables
 from ekf_companion.logs.dataflash_tables import (
     NEEDED,
@@ -59,8 +60,14 @@ GNSS_STD_VEL = 0.3
 """m/s; ArduPilot's default for a receiver that gives no accuracy (EK3_VELNE_M_NSE)."""
 SAMPLE_TIME_NS = 1_000_000_000
 """GPA.SMS further than this from the row's own stamp is damaged or of another clock."""
-GPS_EPOCH_S, LEAP_S, GPS_WEEK_2000 = 315_964_800, 18, 1042
-"""1980-01-06, s since 1970; GPS time less UTC since 2017; the week in which the year 2000 began."""
+GPS_EPOCH_S, LEAP_S = 315_964_800, 18
+"""1980-01-06, s since 1970; GPS time less UTC since 2017."""
+FIRST_TIME_US = "2014-06"
+"""When ArduPilot began to write stamps in microseconds (3.3)."""
+FIRST_DATES = ("2019", "2019", "2021", "2022", "2022", "2023", "2023", "2024")
+"""The year in which development of ArduPilot 4.0, 4.1, ... began."""
+_VERSION = re.compile(rb"(?:Ardu|Blimp|Antenna)\w* V4\.(\d{1,2})\b")
+"""How the firmware names itself."""
 _EVENTS = {
     10: ("armed", True),
     11: ("armed", False),
@@ -123,6 +130,7 @@ def read(path: Path) -> Recording:
         notes.append(f"{refused} GPS rows without a 3-D fix were left out")
     unstamped = tables.get("MSG")
     message_ns = np.zeros(0, np.int64) if unstamped is None else _stamps_by_place(stored, unstamped)
+    zero_ns = _utc_zero_ns(tables, notes)
     return Recording(
         family="ardupilot",
         events=events,
@@ -132,9 +140,9 @@ def read(path: Path) -> Recording:
         notes=tuple(notes),
         damage=damage,
         extent_ns=extent_ns,
-        began_s=_began_s(stored, _utc_zero_ns(tables)),
-        utc_zero_ns=_utc_zero_ns(tables),
         onboard=text_of(tables, message_ns),
+        began_s=_began_s(stored, zero_ns),
+        utc_zero_ns=zero_ns,
     )
 
 
@@ -147,17 +155,26 @@ def _began_s(stored: Tables, zero_ns: int | None) -> float | None:
     return zero_ns * 1e-9 + min(firsts) // 1000 * 1e-6
 
 
-def _utc_zero_ns(tables: Columns) -> int | None:
-    """Return the UTC at which the clock was zero, by the first fix's week and time of GPS."""
+def _utc_zero_ns(tables: Columns, notes: list[str]) -> int | None:
+    """Return the UTC at which the clock was zero, by the receiver's week and time of GPS."""
     names = ("TimeUS", "GWk", "GMS")
     if (table := tables.get("GPS")) is None or not {*names} <= {*(table.dtype.names or ())}:
         return None
-    is_set = table["GWk"] > GPS_WEEK_2000
-    if not is_set.any():
-        return None
-    row = table[int(np.argmax(is_set))]
-    fix_ms = (GPS_EPOCH_S + int(row["GWk"]) * 604_800 - LEAP_S) * 1000 + int(row["GMS"])
-    return int(fix_ms) * 1_000_000 - int(row["TimeUS"]) * 1000
+    week, ms = (np.asarray(table[name], dtype=np.int64) for name in ("GWk", "GMS"))
+    utc_ns = ((GPS_EPOCH_S + week * 604_800 - LEAP_S) * 1000 + ms) * 1_000_000
+    is_fix = np.asarray((table["Status"] >= FIX_3D) & (week > 0))
+    t_ns = series.nanoseconds(table["TimeUS"])
+    return receiver_time.utc_zero_ns(utc_ns, t_ns, is_fix, _first_date(tables), notes)
+
+
+def _first_date(tables: Columns) -> str:
+    """Return before when a log of its firmware cannot have been written."""
+    table = tables.get("MSG")
+    if table is not None and "Message" in names_of(table):
+        for words in table["Message"]:
+            if found := _VERSION.match(bytes(words)):
+                return FIRST_DATES[min(int(found[1]), len(FIRST_DATES) - 1)]
+    return FIRST_TIME_US
 
 
 def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:

@@ -19,9 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import series
+from ekf_companion.logs import receiver_time, series
 from ekf_companion.logs.recording import (
-    CLOCK_SET_S,
     CUT,
     Damage,
     Recording,
@@ -69,6 +68,8 @@ ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
 SAME_TIME = 0.005
 """Between two stamps that mean the same time, s: PX4's driver and the topic made of it."""
+FIRST_ULOG, FIRST_DEGREES = "2016-05", "2023-01"
+"""When PX4 began to write such logs, and to write fixes in degrees (PX4 1.14)."""
 EARTH_RADIUS = 6371000.0
 """m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""
 
@@ -129,6 +130,7 @@ def read(path: Path) -> Recording:
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
             "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
         )
+    zero_ns = _utc_zero_ns(topics, notes)
     return Recording(
         family="px4",
         events=events,
@@ -138,9 +140,9 @@ def read(path: Path) -> Recording:
         notes=tuple(notes),
         damage=_damage(log, stored),
         extent_ns=extent_ns,
-        began_s=_began_s(stored, _utc_zero_ns(topics)),
-        utc_zero_ns=_utc_zero_ns(topics),
         onboard=log.onboard(),
+        began_s=_began_s(stored, zero_ns),
+        utc_zero_ns=zero_ns,
     )
 
 
@@ -190,15 +192,15 @@ def _began_s(stored: Stored, zero_ns: int | None) -> float | None:
     return (zero_ns + min(int(t_ns[0]) for t_ns in firsts)) * 1e-9
 
 
-def _utc_zero_ns(topics: Topics) -> int | None:
-    """Return the UTC at which the clock was zero, by the receiver's first time of day."""
+def _utc_zero_ns(topics: Topics, notes: list[str]) -> int | None:
+    """Return the UTC at which the clock was zero, by the receiver."""
     topic = _receiver(topics)
-    utc_us = topic.get("time_utc_usec", np.zeros(0))
-    is_set = utc_us > CLOCK_SET_S * 1e6
-    if not is_set.any():
+    if "time_utc_usec" not in topic:
         return None
-    first = int(np.argmax(is_set))
-    return int(utc_us[first]) * 1000 - int(topic["t_ns"][first])
+    earliest = FIRST_DEGREES if "latitude_deg" in topic else FIRST_ULOG
+    is_fix = np.asarray(topic["fix_type"] >= FIX_3D)
+    utc_ns = series.nanoseconds(topic["time_utc_usec"])
+    return receiver_time.utc_zero_ns(utc_ns, topic["t_ns"], is_fix, earliest, notes)
 
 
 def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
