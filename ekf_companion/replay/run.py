@@ -320,11 +320,15 @@ class Run(Generic[P]):
     def _chunks(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline run over the columns, a block at a time."""
         pipeline = self._open_pipeline(self._config, log.family)
+        for events in self._screened(log):
+            pipeline.run_block(events)
+            yield 0, b"", []
+
+    def _screened(self, log: Recording) -> Iterator[Events]:
+        """Yield the measurements a block at a time, without what is none."""
         for start in range(0, self.size, CHUNK):
             self._done = min(start + CHUNK, self.size)
-            events = log.events.take(np.arange(start, self._done))
-            pipeline.run_block(self._screen.pass_on(events))
-            yield 0, b"", []
+            yield self._screen.pass_on(log.events.take(np.arange(start, self._done)))
 
     def _rows(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline process the columns row by row, and a publisher send what is due."""
@@ -333,15 +337,15 @@ class Run(Generic[P]):
 
         pipeline = self._open_pipeline(self._config, log.family)
         publisher = Publisher(self._config, Family(log.family))
-        events = self._screen.pass_on(log.events)
-        self.size = len(events)
-        t_ns, kind, values = events.t_ns, events.kind, events.values
-        rows = zip(t_ns.tolist(), kind.tolist(), map(tuple, values.tolist()), strict=True)
-        for self._done, row in enumerate(rows, 1):
-            estimate = pipeline.process_row(row)
-            messages = [] if estimate is None else publisher.due(estimate)
-            self._finish_full_block()
-            yield row[0] // 1000, b"", messages
+        for events in self._screened(log):
+            before = self._done - len(events)
+            t_ns, kind, values = events.t_ns, events.kind, events.values
+            rows = zip(t_ns.tolist(), kind.tolist(), map(tuple, values.tolist()), strict=True)
+            for self._done, row in enumerate(rows, before + 1):
+                estimate = pipeline.process_row(row)
+                messages = [] if estimate is None else publisher.due(estimate)
+                self._finish_full_block()
+                yield row[0] // 1000, b"", messages
 
     def _open_pipeline(self, config: Config, family: str) -> P:
         if self.pipelines:

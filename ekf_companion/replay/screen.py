@@ -40,8 +40,8 @@ _WORDS = {
     f"vertical {HELD}": "the vertical velocity of {} of {} {} repeats the one before while the "
     "heights move otherwise: it is held, and was not used",
 }
-VERTICAL = 5
-"""Column of the velocity down."""
+VELOCITIES = (3, 5)
+"""Columns of the velocity north and of that down."""
 
 
 OFTEN, RARELY = 0.5, 0.05
@@ -190,20 +190,31 @@ class Screen:
         return is_good
 
     def _without_velocities(self, events: Events, rows: Indices) -> Events:
-        """Return the events without the velocities of fixes that are none."""
-        values = events.values
-        for row in rows.tolist():
-            lat, lon, alt, *vel, std_h, std_v = values[row, :8].tolist()
+        """Return the events without the velocities of fixes that are none.
+
+        A log is looked at ahead, as far as the events go: what is found to be none was none
+        before.
+        """
+        numbers = np.zeros((len(rows), 2), dtype=np.int64)
+        found: dict[tuple[int, int], str] = {}  # by part and number of the velocity
+        judge = self._velocities
+        for n, row in enumerate(rows.tolist()):
+            lat, lon, alt, *vel, std_h, std_v = events.values[row, :8].tolist()
             if not is_place(lat, lon):
                 continue
             known = [None if one != one else one for one in vel]
             north, east, down = known if None not in known[:2] else (None, None, known[2])
             t_ns, place = int(events.t_ns[row]), (lat, lon, alt)
-            why_h, why_v = self._velocities.judge(t_ns, place, (north, east, down), std_h, std_v)
-            if (why := why_h or why_v) is None:
-                continue
-            if values is events.values:
-                values = values.copy()
-            values[row, GNSS_VELOCITY if why_h else VERTICAL] = np.nan
-            self._count(Kind.GNSS, why if why_h else f"vertical {why}")
-        return events if values is events.values else replace(events, values=values)
+            whys = judge.judge(t_ns, place, (north, east, down), std_h, std_v)
+            numbers[n] = judge.horizontal.number, judge.vertical.number
+            for part, why in enumerate(whys):
+                if why is not None:
+                    found[part, int(numbers[n, part])] = why
+        if not found:
+            return events
+        values = events.values.copy()
+        for (part, number), why in found.items():
+            of = rows[(numbers[:, part] == number) & np.isfinite(values[rows, VELOCITIES[part]])]
+            values[of, GNSS_VELOCITY if part == 0 else VELOCITIES[1]] = np.nan
+            self._count(Kind.GNSS, why if part == 0 else f"vertical {why}", len(of))
+        return replace(events, values=values)

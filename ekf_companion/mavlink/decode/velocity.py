@@ -12,11 +12,13 @@ from typing import NamedTuple
 
 from ekf_companion.nav.earth import radii
 
-FAR = 10.0
-"""m which the positions have moved otherwise than the velocity says: more than the noise of a
-receiver in the open."""
-SIGMAS = 5.0
+FAR = 2.0
+"""m which the positions have moved otherwise than the velocity says, at ``SPEED`` or faster: more
+than the noise of a receiver in the open from one fix to the next."""
+SIGMAS = 2.0
 """The same in sigmas of a fix, where these are larger."""
+SPEED = 1.0
+"""m/s; a receiver that stands wanders more slowly."""
 STEPS = 3
 """Steps in a row, from fix to fix, all to the same side: a single one is a jump."""
 LONGEST_S = 3.0
@@ -31,7 +33,9 @@ class _Place(NamedTuple):
     pos: tuple[float, ...]
     """North and east, or up, m, of anywhere near."""
     way: tuple[float, ...]
-    """That the positions have moved otherwise than the velocity said, m, since it is the same."""
+    """That the positions have moved otherwise than the velocity said, m."""
+    spent: float
+    """Time in which they did, s."""
 
 
 class HeldVelocity:
@@ -39,6 +43,8 @@ class HeldVelocity:
 
     def __init__(self) -> None:
         """Begin without fixes."""
+        self.number = 0
+        """Of the velocity now, which may have been repeated."""
         self._vel: tuple[float, ...] = ()
         self._last: _Place | None = None
         self._steps = 0
@@ -58,7 +64,8 @@ class HeldVelocity:
         last = self._last
         if vel != self._vel:
             self._vel, self._is_dead, self._steps = vel, False, 0
-            self._last = _Place(t_ns, pos, (0.0,) * len(pos))
+            self.number += 1
+            self._last = _Place(t_ns, pos, (0.0,) * len(pos), 0.0)
             return None
         assert last is not None, "a velocity was known before it repeats"
         if t_ns <= last.t_ns:
@@ -68,13 +75,12 @@ class HeldVelocity:
         along = sum(s * w for s, w in zip(step, last.way, strict=True))
         is_begin = not any(last.way)
         if dt > LONGEST_S or not (is_begin or along > 0.0) or not any(step):
-            step, self._steps = (0.0,) * len(pos), 0
-            way = step
+            way, spent, self._steps = (0.0,) * len(pos), 0.0, 0
         else:
-            self._steps += 1
             way = tuple(w + s for w, s in zip(last.way, step, strict=True))
-        self._last = _Place(t_ns, pos, way)
-        far = max(FAR, SIGMAS * std)
+            spent, self._steps = last.spent + dt, self._steps + 1
+        self._last = _Place(t_ns, pos, way, spent)
+        far = max(FAR, SIGMAS * std, SPEED * spent)
         self._is_dead |= self._steps >= STEPS and math.hypot(*way) > far
         return self._why()
 
@@ -89,7 +95,7 @@ class HeldVelocities:
 
     def __init__(self) -> None:
         """Begin without fixes."""
-        self._horizontal, self._vertical = HeldVelocity(), HeldVelocity()
+        self.horizontal, self.vertical = HeldVelocity(), HeldVelocity()
         self._scale: tuple[float, float] | None = None
 
     def judge(
@@ -117,7 +123,7 @@ class HeldVelocities:
         why_h = why_v = None
         if north is not None and east is not None:
             pos = lat * self._scale[0], lon * self._scale[1]
-            why_h = self._horizontal.judge(t_ns, pos, (north, east), std_h)
+            why_h = self.horizontal.judge(t_ns, pos, (north, east), std_h)
         if down is not None:
-            why_v = self._vertical.judge(t_ns, (alt,), (-down,), std_v)
+            why_v = self.vertical.judge(t_ns, (alt,), (-down,), std_v)
         return why_h, why_v
