@@ -348,9 +348,10 @@ class BlockReader(RowWriter):
         why = self.repetition.judge_axes(t_us, row[0], row[1], row[2], row[3], row[4], row[5])
         self.last_us = t_us
         if why is not None:
-            self.imu.refuse_stuck(why)
+            is_refused = self.imu.is_refused(why)
             self.session.emit_notes()
-            return True
+            if is_refused:
+                return True
         if self.sources.sole != 0:
             self.sources.admit(0, t_ns)
         t_ns = self.write_sample(t_us, row)

@@ -9,7 +9,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import FIRST_OTHER, Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
-from ekf_companion.mavlink.decode.repetition import ZERO, Repetition, Sample
+from ekf_companion.mavlink.decode.repetition import LIMITED, ZERO, Repetition, Sample
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
@@ -87,8 +87,11 @@ class Inertial:
         sample = (gx, gy, gz, ax, ay, az)
         if updated & ACCEL_GYRO != ACCEL_GYRO:
             context.refuse("HIGHRES_IMU: accel or gyro not updated")
-        elif t_us > self.last_us and (why := self.repetition.judge(t_us, sample)):
-            self.refuse_stuck(why)
+        elif (
+            t_us > self.last_us
+            and (why := self.repetition.judge(t_us, sample))
+            and self.is_refused(why)
+        ):
             self.last_us = t_us
             # nor the magnetometer: it turned with the vehicle, and by how much is not known
             return out
@@ -102,15 +105,20 @@ class Inertial:
             self._baro.add(out, 0, t_ns, pressure)
         return out
 
-    def refuse_stuck(self, why: str, rank: int = 0) -> None:
-        """Refuse a sample because its sensor measures nothing, and tell a human."""
-        self._context.refuse(f"{SOURCES[rank]}: {why}")
+    def is_refused(self, why: str, rank: int = 0) -> bool:
+        """Return whether a sample is refused, for it measures nothing; count it, and tell a human.
+
+        At the end of its range it measures still, with a larger noise, which the filter finds.
+        """
+        self._context.refused[f"{SOURCES[rank]}: {why}"] += 1
         number = self.instance if rank == 0 else max(rank - 2, 0)
         same = "" if why == ZERO else ": it says the same again and again"
+        use = "so its noise counts as larger" if why == LIMITED else "which is not used"
         self._context.note_once(
-            f"Inertial sensor {number} is {why}{same}, which is not used; check the sensor, its "
-            "mounting and its range"
+            f"Inertial sensor {number} is {why}{same}, {use}; check the sensor, its mounting and "
+            "its range"
         )
+        return why != LIMITED
 
     def _note_instance(self, instance: int, *, is_better: bool) -> None:
         """Note that another sensor is used from now on.
@@ -152,7 +160,10 @@ class Inertial:
         t_ns = t_us * 1000
         rates: tuple[float, float, float] | None = None
         if not (xacc or yacc or zacc or xgyro or ygyro or zgyro):
-            self._context.refuse("SCALED_IMU: no sensor behind it")
+            if rank == self.sources.rank:
+                self.is_refused(ZERO, rank)
+            else:
+                self._context.refuse("SCALED_IMU: no sensor behind it")
         else:
             rates = (xgyro * 1e-3, ygyro * 1e-3, zgyro * 1e-3)
             forces = (xacc * _MILLI_G, yacc * _MILLI_G, zacc * _MILLI_G)
@@ -172,9 +183,9 @@ class Inertial:
         is_new = t_us > self.last_us and not self._context.clock.is_in_doubt
         if rank != self.sources.rank or not is_new:
             return False
-        if (why := self.repetition.judge(t_us, sample)) is None:
+        why = self.repetition.judge(t_us, sample)
+        if why is None or not self.is_refused(why, rank):
             return False
-        self.refuse_stuck(why, rank)
         self.last_us = t_us
         return True
 

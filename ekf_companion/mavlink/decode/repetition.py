@@ -85,18 +85,27 @@ class Repetition:
                 for axis in range(6):
                     self._equal[axis] //= 2
             return None
-        count = 0
+        rates = forces = 0
         is_large = False
         for axis in range(6):
             if self._is_silent(axis):
-                count += 1
+                if axis < 3:
+                    rates += 1
+                else:
+                    forces += 1
                 is_large |= abs(self._last[axis]) > (_RATE if axis < 3 else _FORCE)
-        if count == 6 and not self._may_stand(t_us):
-            return STUCK
-        return LIMITED if 0 < count < 6 and is_large else None
+        count = rates + forces
+        if count == 6:
+            return None if self._may_stand(t_us) else STUCK
+        if not is_large:
+            return None
+        # No motion is at the end of three ranges
+        return STUCK if rates == 3 or forces == 3 else LIMITED if count else None
 
     def judge_rows(self, t_ns: Stamps, values: Array) -> Mask:
         """Judge samples in the order of their arrival; return which of them measure something.
+
+        One at the end of its range does, with a larger noise, which the filter finds.
 
         Args:
             t_ns: Stamps, shape (n,).
@@ -124,7 +133,7 @@ class Repetition:
                 values[n, 5],
             )
             if why is not None:
-                is_good[n] = 0
+                is_good[n] = why == LIMITED
                 self.refused[why] = self.refused.get(why, 0) + 1
 
     def _count(self, axis: int, value: float) -> bool:
