@@ -35,15 +35,23 @@ class HeldHeading:
         self._used_ns = 0
         self._north_ns: int | None = None
 
-    def judge(self, t_ns: int, heading: float, *, is_still: bool) -> str | None:
-        """Return why a heading (rad, in [-pi, pi)) is no measurement; None if it is one.
+    def judge(
+        self, t_ns: int, heading: float, *, is_still: bool, is_estimate: bool = False
+    ) -> str | None:
+        """Return why a heading is no measurement; None if it is one.
 
-        ``is_still``: Whether the vehicle may have held its heading since it first said this one.
+        Args:
+            t_ns: Its stamp.
+            heading: In [-pi, pi), rad.
+            is_still: Whether the vehicle may have held its heading since it first said this one.
+            is_estimate: Whether an autopilot estimates it anew for each row: then few digits repeat
+                by chance, as often as they may.
         """
         if heading == 0.0 and not self._may_be_north(t_ns):
             return ZERO
         if heading == self._last:
-            if not is_still or 0 <= t_ns - self._used_ns < _HELD_NS:
+            is_paced = not is_estimate and 0 <= t_ns - self._used_ns < _HELD_NS
+            if not is_still or is_paced:
                 return REPEATED
         elif heading != 0.0:
             self._north_ns = t_ns if abs(heading) < _NORTH else None
