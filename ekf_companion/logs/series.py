@@ -135,9 +135,9 @@ def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
         best, between = -1, 0
         for place in range(here - 1, max(here - 1 - MOST_APART, -1), -1):
             is_time = bool(low[place] or high[place])
-            if is_time and -BACK_NS <= begin - high[place] <= GAP_NS:
-                if best < 0 or abs(begin - high[place]) < abs(begin - high[best]):
-                    best = place
+            goes_on = is_time and -BACK_NS <= begin - high[place] <= GAP_NS
+            if goes_on and (best < 0 or abs(begin - high[place]) < abs(begin - high[best])):
+                best = place
             between += int(rows[place])
             if between > few:
                 break
@@ -181,7 +181,7 @@ class CommonRun(NamedTuple):
     """Of the rows on the table's own run."""
     spans: Spans
     """Of the other's run; empty: any."""
-    own: Spans = []
+    own: Spans
     """Of the table's own run."""
 
     def holds(self, first: int, t_ns: Stamps) -> Mask:

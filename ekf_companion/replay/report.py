@@ -17,7 +17,8 @@ from ekf_companion.nav.arrays import median
 from ekf_companion.nav.measurements import Events, Kind, of_receiver
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay.extent import Extent
-from ekf_companion.replay.screen import StampCount
+from ekf_companion.replay.left_out import LeftOut
+from ekf_companion.replay.screen import NO_SAMPLES, StampCount
 from ekf_companion.replay.track import Track
 
 _SLOW = 20.0
@@ -51,8 +52,10 @@ class Report:
     """Of the telemetry's frames: lost on the link, by their numbers."""
     is_contradictory: bool = False
     """Whether a note says that units, signs, order or axes of a table cannot be meant."""
-    stamps: StampCount = StampCount(0)
+    stamps: StampCount = NO_SAMPLES
     """Of the inertial samples, and how many of them cannot be right."""
+    left_out: list[LeftOut] = field(default_factory=list)
+    """Measurements that are none."""
     extent: Extent = field(default_factory=Extent)
     """From when to when the log's sensors spoke."""
     track: Track = field(default_factory=Track)

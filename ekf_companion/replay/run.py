@@ -23,10 +23,11 @@ from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import Events, Kind, Row
 from ekf_companion.nav.state import COLUMNS, Table
+from ekf_companion.replay.left_out import of_telemetry
 from ekf_companion.replay.log_source import open_log, reference, truth
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
-from ekf_companion.replay.screen import Screen, StampCount
+from ekf_companion.replay.screen import Screen, stamps_of_telemetry
 
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
@@ -237,8 +238,7 @@ class Run(Generic[P]):
             self.report.health = health = self.pipelines[-1].health()
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
-        self.report.notes += self._screen.notes()
-        self.report.stamps = self._stamps()
+        self._note_left_out()
         self.report.notes += self._magnetometer.notes()
         self.compare_sensors()
         self.report.is_contradictory = bool(self._faults)
@@ -247,15 +247,16 @@ class Run(Generic[P]):
         self.report.own, self.report.truth = reference(self.log), truth(self.log)
         return self.report
 
-    def _stamps(self) -> StampCount:
-        """Return what is known of the inertial samples' stamps."""
+    def _note_left_out(self) -> None:
+        """Note what was left out, by the screen or by the readers of messages."""
+        report = self.report
         if isinstance(self.log, Recording):
-            return self._screen.stamps._replace(lost_share=self.log.lost_share)
-        from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
-
-        refused = self.report.refused
-        repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
-        return StampCount(self.report.counts[Kind.IMU] + repeated + back, repeated, back)
+            report.left_out = self._screen.left_out()
+            report.stamps = self._screen.stamps._replace(lost_share=self.log.lost_share)
+        else:
+            report.left_out = list(of_telemetry(report.refused, report.counts))
+            report.stamps = stamps_of_telemetry(report.refused, report.counts)
+        report.notes += [one.note for one in report.left_out]
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""
@@ -346,6 +347,7 @@ class Run(Generic[P]):
                 messages = [] if estimate is None else publisher.due(estimate)
                 self._finish_full_block()
                 yield row[0] // 1000, b"", messages
+        self._finish_full_block()  # nothing may be left of the last measurements
 
     def _open_pipeline(self, config: Config, family: str) -> P:
         if self.pipelines:

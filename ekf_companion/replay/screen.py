@@ -6,40 +6,23 @@ What a telemetry log holds is judged by the readers of its messages, by the same
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ekf_companion.mavlink.decode.heading import REPEATED, ZERO, HeldHeading
+from ekf_companion.mavlink.decode.heading import HeldHeading
+from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
 from ekf_companion.mavlink.decode.repetition import Repetition
-from ekf_companion.mavlink.decode.velocity import ALWAYS_ZERO, HELD, HeldVelocities
+from ekf_companion.mavlink.decode.velocity import HeldVelocities
 from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.earth import is_place
-from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, Kind
+from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
+from ekf_companion.replay.left_out import NO_FIELD, NO_PLACE, LeftOut
 
-_NAMES = {
-    Kind.IMU: "inertial samples",
-    Kind.GNSS: "fixes",
-    Kind.HEADING: "headings",
-    Kind.MAG: "magnetic fields",
-}
-NO_PLACE = "without a place, as latitude and longitude 0"
-NO_FIELD = "of zeros"
-STUCK_SENSOR = "of a sensor that is {}"
-_WORDS = {
-    ZERO: "{} of {} {} are 0 where there is none: they were not used",
-    REPEATED: "{} of {} {} repeat the one before while the vehicle turns, or within a second: they "
-    "are held between updates, and were not used",
-    ALWAYS_ZERO: "the velocity of {} of {} {} is 0 while the positions move: it is none, and was "
-    "not used; check the receiver's settings, or leave it out",
-    HELD: "the velocity of {} of {} {} repeats the one before while the positions move otherwise: "
-    "it is held, and was not used",
-    f"vertical {ALWAYS_ZERO}": "the vertical velocity of {} of {} {} is 0 while the heights move: "
-    "it is none, and was not used",
-    f"vertical {HELD}": "the vertical velocity of {} of {} {} repeats the one before while the "
-    "heights move otherwise: it is held, and was not used",
-}
+KINDS = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG)
+"""Of measurements that are looked at."""
 VELOCITIES = (3, 5)
 """Columns of the velocity north and of that down."""
 
@@ -89,6 +72,15 @@ class StampCount(NamedTuple):
         return worst > OFTEN * self.total or self.lost_share > OFTEN
 
 
+NO_SAMPLES = StampCount(0)
+
+
+def stamps_of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> StampCount:
+    """Return what the readers of messages found of stamps, by their counts of what was refused."""
+    repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
+    return StampCount(counts.get(Kind.IMU, 0) + repeated + back, repeated, back)
+
+
 GYRO_BIAS = 0.005
 """rad/s: a gyro may seem to turn so fast when it does not, after its autopilot's calibration."""
 LONGEST_STEP = 1.0
@@ -114,7 +106,7 @@ class Screen:
     def pass_on(self, events: Events) -> Events:
         """Return the next events without those that are no measurement."""
         is_good = np.ones(len(events), dtype=np.bool_)
-        kinds = {kind: np.flatnonzero(events.kind == kind) for kind in _NAMES}
+        kinds = {kind: np.flatnonzero(events.kind == kind) for kind in KINDS}
         for kind, rows in kinds.items():
             self._total[kind] += len(rows)
         imu, mag = kinds[Kind.IMU], kinds[Kind.MAG]
@@ -127,16 +119,13 @@ class Screen:
         events = self._without_velocities(events, kinds[Kind.GNSS])
         return events if is_good.all() else events.take(is_good)
 
-    def notes(self) -> list[str]:
-        """Return a sentence for each thing that was left out."""
+    def left_out(self) -> list[LeftOut]:
+        """Return what was left out, by kind and reason."""
         found = Counter(self.refused)
         for why, count in self._repetition.refused.items():
-            found[Kind.IMU, STUCK_SENSOR.format(why)] += count
+            found[Kind.IMU, why] += count
         return [
-            _WORDS.get(why, "{} of {} {} {}: they were not used").format(
-                count, self._total[kind], _NAMES[kind], why
-            )
-            for (kind, why), count in found.items()
+            LeftOut(kind, why, count, self._total[kind]) for (kind, why), count in found.items()
         ]
 
     @property
@@ -170,11 +159,12 @@ class Screen:
             heading, std, source = events.values[row, :3].tolist()
             t_ns, now = int(events.t_ns[row]), turned[at[n]]
             judge = self._headings.setdefault(source, HeldHeading())
-            since_ns, then = (
-                self._since[source] if judge.is_repeated(heading) else (t_ns, now)
-            )
-            angle = float(np.linalg.norm(now - then)) - GYRO_BIAS * abs(t_ns - since_ns) * 1e-9
-            why = judge.judge(t_ns, heading, is_still=angle < std)
+            since_ns, then = self._since[source] if judge.is_repeated(heading) else (t_ns, now)
+            is_estimate = source == HeadingSource.AUTOPILOT
+            # Few digits of an estimate may well be the same while the vehicle rolls
+            angle = abs(float((now - then)[2])) if is_estimate else np.linalg.norm(now - then)
+            angle -= GYRO_BIAS * abs(t_ns - since_ns) * 1e-9
+            why = judge.judge(t_ns, heading, is_still=angle < std, is_estimate=is_estimate)
             if why is None:
                 self._since[source] = since_ns, then
             else:

@@ -111,7 +111,8 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     """Judge the estimate of a whole log."""
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
-    parts = [_of_table(report), _of_stamps(report), _of_gap(report), _of_samples(rate), _of_file(report)]
+    parts = [_of_table(report), _of_stamps(report), _of_gap(report)]
+    parts += [_of_left_out(report), _of_samples(rate), _of_file(report)]
     departure = Reasons(*map(tuple, evidence.departure.reasons()))
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
@@ -247,6 +248,11 @@ def _of_stamps(report: Report) -> Reasons:
     """Judge whether the inertial samples have stamps of their own, in order."""
     words = (report.stamps.words,) if report.stamps.words else ()
     return Reasons(poor=words) if report.stamps.is_most else Reasons(fair=words)
+
+
+def _of_left_out(report: Report) -> Reasons:
+    """Name what was left out in many places, for it is no measurement; leaving it out is right."""
+    return Reasons(aside=tuple(one.words for one in report.left_out if one.words))
 
 
 def _of_gap(report: Report) -> Reasons:

@@ -1,8 +1,8 @@
 """Velocities of fixes that are none: the same number again and again, while the positions move.
 
 A receiver or a driver that knows no velocity says 0, or goes on saying its last one. A velocity in
-use has noise: it does not repeat to the bit for as long as a vehicle moves. A place that jumps once,
-and a vehicle that stands where a receiver holds its place, take no velocity away.
+use has noise: it does not repeat to the bit for as long as a vehicle moves. A place that jumps
+once, and a vehicle that stands where a receiver holds its place, take no velocity away.
 """
 
 from __future__ import annotations
