@@ -29,6 +29,8 @@ BOOT_NS = 5_000_000_000
 """The first stamp: of a log that begins soon after the boot."""
 FORMATS = ("csv", "bin", "ulg", "HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
 """Suffixes, and of a .tlog the inertial message."""
+UTC_ZERO_US = 1_695_254_400_000_000
+"""2023-09-21, when the clock of every log here was zero."""
 CONFIG = Config(gnss=GnssSettings(delay=SimConfig().gnss.delay))
 
 
@@ -45,6 +47,8 @@ class Rows:
     fix_type: Array
     heading: Array
     """Of each fix, deg; NaN: none."""
+    utc_us: Stamps
+    """Of each fix; 0: not known."""
     mag_ns: Stamps
     mag: Array
     baro_ns: Stamps
@@ -55,6 +59,8 @@ class Rows:
     yaw: Array
     down_b: Array
     """True direction of gravity in the body, shape (n, 3)."""
+    arrivals_ns: dict[Kind, Stamps]
+    """When each row is written, whatever its stamp says."""
     scale: tuple[float, float]
     """m for each rad of latitude and longitude."""
     zero: Array
@@ -87,6 +93,7 @@ class Rows:
             fix=np.column_stack([np.rad2deg(fix[:, :2]), fix[:, 2:6]]),
             fix_type=np.full(len(fix), 3),
             heading=np.degrees(so3.wrap(yaw[near])) % 360.0 + noise,
+            utc_us=UTC_ZERO_US + fix_ns // 1000,
             mag_ns=mag_ns,
             mag=mag[:, :3].copy(),
             baro_ns=baro_ns,
@@ -95,6 +102,12 @@ class Rows:
             pos=pos,
             yaw=yaw,
             down_b=so3.to_matrix(exact.q_nb)[:, 2, :],
+            arrivals_ns={
+                Kind.GNSS: fix_ns.copy(),
+                Kind.MAG: mag_ns.copy(),
+                Kind.BARO: baro_ns.copy(),
+                Kind.IMU: imu_ns.copy(),
+            },
             scale=scale,
             zero=np.array([exact.lat[0], exact.lon[0]]) * scale,
         )
@@ -113,21 +126,29 @@ class Rows:
         """Likewise of each fix."""
         return (self.fix_ns - BOOT_NS) * 1e-9
 
+    def keep_samples(self, mask):
+        """Drop the other inertial samples."""
+        self.imu_ns, self.imu = self.imu_ns[mask], self.imu[mask]
+        self.arrivals_ns[Kind.IMU] = self.arrivals_ns[Kind.IMU][mask]
+
     def arrivals(self):
-        """Yield (kind, index) in the order in which rows were written."""
-        # By their places: a stamp may be wrong
-        parts = (self.fix_ns, self.mag_ns, self.baro_ns, self.imu_ns)
-        kinds = (Kind.GNSS, Kind.MAG, Kind.BARO, Kind.IMU)
-        at = np.concatenate([np.linspace(0.0, 1.0, len(one)) for one in parts])
-        whole = [(kind, index) for kind, one in zip(kinds, parts, strict=True) for index in range(len(one))]
-        return [whole[place] for place in np.argsort(at, kind="stable")]
+        """Yield (kind, index, time) in the order in which rows are written."""
+        whole = [
+            (t_ns, kind, index)
+            for kind, times in self.arrivals_ns.items()
+            for index, t_ns in enumerate(times.tolist())
+        ]
+        for t_ns, kind, index in sorted(whole, key=lambda one: one[0]):
+            yield kind, index, t_ns
 
 
 def write(rows, kind, folder, *, has_heading=False):
     """Write a flight in a format; return the file."""
     suffix = kind if kind in ("csv", "bin", "ulg") else "tlog"
     path = folder / f"{kind}.{suffix}"
-    path.write_bytes({"csv": _csv, "bin": _bin, "ulg": _ulg}.get(kind, _tlog)(rows, kind, has_heading))
+    path.write_bytes(
+        {"csv": _csv, "bin": _bin, "ulg": _ulg}.get(kind, _tlog)(rows, kind, has_heading)
+    )
     return path
 
 
@@ -143,7 +164,7 @@ def _csv(rows, kind, has_heading):
         cells = [t_ns // 1000, *imu, *fix, heading, *mag, baro]
         lines.append(",".join("" if one == "" or one != one else f"{one!r}" for one in cells))
 
-    for what, i in rows.arrivals():
+    for what, i, _ in rows.arrivals():
         if what == Kind.IMU:
             line(int(rows.imu_ns[i]), imu=rows.imu[i].tolist())
         elif what == Kind.GNSS:
@@ -167,18 +188,34 @@ def _bin(rows, kind, has_heading):
     log.define(3, "GPA", "QBCCCBI", "TimeUS,I,HAcc,VAcc,SAcc,VV,SMS")
     log.define(4, "MAG", "QBhhhB", "TimeUS,I,MagX,MagY,MagZ,Health")
     log.define(5, "BARO", "QBf", "TimeUS,I,Alt")
-    for what, i in rows.arrivals():
+    for what, i, _ in rows.arrivals():
         if what == Kind.IMU:
             log.row("IMU", int(rows.imu_ns[i]) // 1000, 0, *rows.imu[i].tolist())
         elif what == Kind.GNSS:
             us = int(rows.fix_ns[i]) // 1000
             lat, lon, alt, north, east, down = rows.fix[i].tolist()
             course = float(np.degrees(np.arctan2(east, north)) % 360.0)
-            yaw = float(rows.heading[i]) if has_heading and rows.heading[i] == rows.heading[i] else 0.0
+            yaw = (
+                float(rows.heading[i])
+                if has_heading and rows.heading[i] == rows.heading[i]
+                else 0.0
+            )
             place = (round(lat * 1e7), round(lon * 1e7), round(alt * 100.0))
             status = int(rows.fix_type[i])
             speed = float(np.hypot(north, east))
-            log.row("GPS", us, 0, status, *_gps_time(us), 100, *place, speed, course, down, yaw)
+            log.row(
+                "GPS",
+                us,
+                0,
+                status,
+                *_gps_time(int(rows.utc_us[i])),
+                100,
+                *place,
+                speed,
+                course,
+                down,
+                yaw,
+            )
             log.row("GPA", us, 0, 100, 150, 30, 1, us // 1000)
         elif what == Kind.MAG:
             field = [round(1e3 * one) for one in rows.mag[i].tolist()]
@@ -188,13 +225,10 @@ def _bin(rows, kind, has_heading):
     return bytes(log.data)
 
 
-_SECONDS_OF_WEEK = 345_600
-_WEEK = 2280
-"""2023-09-21."""
-
-
-def _gps_time(us):
-    return _SECONDS_OF_WEEK * 1000 + us // 1000, _WEEK
+def _gps_time(utc_us):
+    """Return GPS time of week, ms, and week: 18 leap seconds before UTC."""
+    ms = utc_us // 1000 - (315_964_800 - 18) * 1000 if utc_us else 0
+    return ms % 604_800_000, ms // 604_800_000
 
 
 _VEL = [("float", f"vel_{axis}_m_s") for axis in "ned"]
@@ -222,21 +256,19 @@ _ULG = [
     ("sensor_mag", [("uint64_t", "timestamp"), *(("float", axis) for axis in "xyz")]),
     ("vehicle_air_data", [("uint64_t", "timestamp"), ("float", "baro_alt_meter")]),
 ]
-UTC_ZERO_US = 1_695_254_400_000_000
-"""2023-09-21, when the clock of every log here was zero."""
 
 
 def _ulg(rows, kind, has_heading):
     log = ULogWriter(_ULG)
     log.data = bytearray(log.data)
-    for what, i in rows.arrivals():
+    for what, i, _ in rows.arrivals():
         if what == Kind.IMU:
             log.row(0, int(rows.imu_ns[i]) // 1000, *rows.imu[i].tolist())
         elif what == Kind.GNSS:
             us = int(rows.fix_ns[i]) // 1000
             heading = np.radians(rows.heading[i]) if has_heading else np.nan
             fix = (*rows.fix[i].tolist(), 1.0, 1.5, 0.3, heading, int(rows.fix_type[i]))
-            log.row(1, us, UTC_ZERO_US + us, *fix)
+            log.row(1, us, int(rows.utc_us[i]), *fix)
         elif what == Kind.MAG:
             log.row(2, int(rows.mag_ns[i]) // 1000, *rows.mag[i].tolist())
         else:
@@ -255,9 +287,7 @@ def frames(rows, kind, has_heading):
         return t_ns, sender.message(name, **fields)
 
     whole = np.rint(rows.imu * ([1e3] * 3 + [1e3 / STANDARD_GRAVITY] * 3)).astype(int)
-    for number, (what, i) in enumerate(rows.arrivals()):
-        # The recorder's own clock, whatever the stamps are
-        t_ns = BOOT_NS + number * 1_000_000
+    for what, i, t_ns in rows.arrivals():
         if t_ns >= beat_ns:
             beat_ns = t_ns + 1_000_000_000
             yield frame("HEARTBEAT", type=2, autopilot=12 if is_px4 else 3, system_status=4)
@@ -347,7 +377,7 @@ def convert(rows, kind, folder, config=CONFIG, *, has_heading=False):
     lat, lon = (np.deg2rad(table.column(name)) for name in ("lat_deg", "lon_deg"))
     here = np.stack([lat, lon], axis=1) * rows.scale - rows.zero
     q_nb = np.stack([table.column(f"q_{one}") for one in "wxyz"], axis=1)
-    down_b = so3.to_matrix(np.nan_to_num(q_nb) + [1e-9, 0.0, 0.0, 0.0])[:, 2, :]
+    down_b = so3.to_matrix(np.nan_to_num(q_nb, nan=0.5))[:, 2, :]
     cosine = np.clip((down_b * rows.down_b[at]).sum(axis=1), -1.0, 1.0)
     return Found(
         table=table,
