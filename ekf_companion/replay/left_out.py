@@ -10,8 +10,10 @@ from ekf_companion.mavlink.decode.heading import ZERO as ZERO_HEADING
 from ekf_companion.mavlink.decode.inertial import SOURCES
 from ekf_companion.mavlink.decode.repetition import LIMITED, STUCK, ZERO
 from ekf_companion.mavlink.decode.velocity import ALWAYS_ZERO, HELD
+from ekf_companion.mavlink.decode.velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
 
+VELOCITIES = (ALWAYS_ZERO, HELD, REPEATED_VELOCITY)
 NO_PLACE = "without a place, as latitude and longitude 0"
 NO_FIELD = "of zeros"
 VERTICAL_ZERO, VERTICAL_HELD = f"vertical {ALWAYS_ZERO}", f"vertical {HELD}"
@@ -37,6 +39,8 @@ _NOTES = {
     "not used; check the receiver's settings, or leave it out",
     HELD: "the velocity of {} of {} {} repeats the one before while the positions move otherwise: "
     "it is held, and was not used",
+    REPEATED_VELOCITY: "the velocity of {} of {} {} is that of the one before to the bit: it is "
+    "held between updates, and was not used",
     VERTICAL_ZERO: "the vertical velocity of {} of {} {} is 0 while the heights move: it is none, "
     "and was not used",
     VERTICAL_HELD: "the vertical velocity of {} of {} {} repeats the one before while the heights "
@@ -88,7 +92,7 @@ def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iter
     receivers = ("GPS_RAW_INT", "GPS2_RAW")
     reasons = [
         *((Kind.IMU, message, why, why) for message in SOURCES for why in (STUCK, LIMITED, ZERO)),
-        *((Kind.GNSS, message, why, why) for message in receivers for why in (ALWAYS_ZERO, HELD)),
+        *((Kind.GNSS, message, why, why) for message in receivers for why in VELOCITIES),
         (Kind.HEADING, receivers[0], f"yaw {REPEATED}", REPEATED),
     ]
     found = [

@@ -15,7 +15,8 @@ import numpy as np
 from ekf_companion.mavlink.decode.heading import HeldHeading
 from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
 from ekf_companion.mavlink.decode.repetition import Repetition
-from ekf_companion.mavlink.decode.velocity import HeldVelocities
+from ekf_companion.mavlink.decode.velocity import HELD, HeldVelocities
+from ekf_companion.mavlink.decode.velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
@@ -183,10 +184,12 @@ class Screen:
         """Return the events without the velocities of fixes that are none.
 
         A log is looked at ahead, as far as the events go: what is found to be none was none
-        before.
+        before. But where a receiver has said others, and then repeats one of motion, its first was
+        a measurement.
         """
         numbers = np.zeros((len(rows), 2), dtype=np.int64)
-        found: dict[tuple[int, int], str] = {}  # by part and number of the velocity
+        whole: dict[tuple[int, int], str] = {}  # by part and number of the velocity
+        single: list[tuple[int, int, str]] = []  # place, part, and why
         judge = self._velocities
         for n, row in enumerate(rows.tolist()):
             lat, lon, alt, *vel, std_h, std_v = events.values[row, :8].tolist()
@@ -198,13 +201,24 @@ class Screen:
             whys = judge.judge(t_ns, place, (north, east, down), std_h, std_v)
             numbers[n] = judge.horizontal.number, judge.vertical.number
             for part, why in enumerate(whys):
-                if why is not None:
-                    found[part, int(numbers[n, part])] = why
-        if not found:
+                if why == REPEATED_VELOCITY or (why == HELD and part == 0 and numbers[n, 0] > 1):
+                    single.append((n, part, why))
+                elif why is not None:
+                    whole[part, int(numbers[n, part])] = why
+        if not whole and not single:
             return events
         values = events.values.copy()
-        for (part, number), why in found.items():
+        for (part, number), why in whole.items():
             of = rows[(numbers[:, part] == number) & np.isfinite(values[rows, VELOCITIES[part]])]
-            values[of, GNSS_VELOCITY if part == 0 else VELOCITIES[1]] = np.nan
+            values[of, _columns(part)] = np.nan
             self._count(Kind.GNSS, why if part == 0 else f"vertical {why}", len(of))
+        for n, part, why in single:
+            values[rows[n], _columns(part)] = np.nan
+            if part == 0:
+                self._count(Kind.GNSS, why)
         return replace(events, values=values)
+
+
+def _columns(part: int) -> slice | int:
+    """Return the columns of a velocity, or of its vertical part."""
+    return VELOCITIES[1] if part else GNSS_VELOCITY

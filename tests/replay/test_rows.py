@@ -7,6 +7,7 @@ from ekf_companion.errors import LogError
 from ekf_companion.mavlink.decode.heading import REPEATED
 from ekf_companion.mavlink.decode.repetition import LIMITED, STUCK, ZERO
 from ekf_companion.mavlink.decode.velocity import ALWAYS_ZERO, HELD
+from ekf_companion.mavlink.decode.velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.left_out import VERTICAL_ZERO, LeftOut, of_telemetry
 from ekf_companion.replay.log_source import open_log
@@ -177,13 +178,24 @@ def test_a_vertical_velocity_of_0_is_left_out_while_heights_move(rows, kind, tmp
     assert "the receiver's vertical velocity is always 0" in verdict(found)
 
 
-@pytest.mark.parametrize("kind", TABLES)
+@in_every_format
 def test_a_velocity_that_begins_to_stand_is_left_out_from_there(rows, kind, tmp_path):
     begin = int(np.searchsorted(rows.fix_since, 30.0))
     rows.fix[begin:, 3:5] = rows.fix[begin, 3:5]
     found = convert(rows, kind, tmp_path)
-    assert left_out(found) == {HELD: len(rows.fix) - begin}
+    assert sum(left_out(found).values()) == len(rows.fix) - begin - 2
+    assert verdict(found) == "good: no resets, the receiver's velocity is held"
     assert worst(found.distance, found, 20.0) < 2.0
+
+
+@in_every_format
+def test_a_velocity_that_is_held_between_updates_counts_once(rows, kind, tmp_path):
+    """Once a second among five fixes: counted five times it led 14 m astray."""
+    second = rows.fix_since.astype(int)
+    rows.fix[:, 3:6] = rows.fix[np.searchsorted(second, second), 3:6]
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[REPEATED_VELOCITY] > 120
+    assert worst(found.distance, found, 20.0) < 3.0
 
 
 @in_every_format

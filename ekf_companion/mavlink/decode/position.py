@@ -10,7 +10,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, HeldHeading, wrap
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
-from ekf_companion.mavlink.decode.velocity import HeldVelocities
+from ekf_companion.mavlink.decode.velocity import REPEATED, HeldVelocities
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.earth import is_place
@@ -137,10 +137,11 @@ class Position:
         if why is None:
             return fix
         self._context.refused[f"{receiver.message}: {why}"] += 1
-        self._context.note_once(
-            f"{receiver.message}: the velocity says the same again and again while the positions "
-            "move otherwise, so it is not used; check the receiver's settings"
-        )
+        if why != REPEATED:
+            self._context.note_once(
+                f"{receiver.message}: the velocity says the same again and again while the "
+                "positions move otherwise, so it is not used; check the receiver's settings"
+            )
         return replace(fix, vel_north=None, vel_east=None, std_vel=None)
 
     def _refusal(self, receiver: _Receiver, m: Any) -> str | None:
