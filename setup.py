@@ -28,7 +28,7 @@ from setuptools.command.build_py import build_py
 ROOT = Path(__file__).resolve().parent
 THIS = Path(__file__).name
 CORE = ROOT / "ekf_companion" / "core"
-READERS = ("logs", "mavlink", "mavlink/decode")
+READERS = ("logs", "mavlink", "mavlink/decode", "nav")
 """Other rooms with modules that are compiled."""
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""

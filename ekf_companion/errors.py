@@ -71,8 +71,8 @@ def how_to_compile() -> str:
     """Return what to do in a folder of sources that are not compiled."""
     root = Path(__file__).resolve().parents[1]
     return (
-        f"ekf_companion in {root} is not compiled for {sys.executable}: run `make setup` in that "
-        "folder and use its .venv/bin/python, or install it with pip"
+        f"ekf_companion in {root} is not compiled for {sys.executable}: `make -C {root} setup` "
+        "compiles it, to be run by its .venv/bin/python; or install it with pip"
     )
 
 

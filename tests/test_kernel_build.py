@@ -12,7 +12,7 @@ from tests.paths import ROOT
 
 pytestmark = pytest.mark.campaign
 
-COMPILED = ("logs/csv_lines", "mavlink/decode/repetition")
+COMPILED = ("logs/csv_lines", "nav/repetition")
 """Short modules; neither needs another."""
 
 

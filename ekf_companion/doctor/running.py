@@ -158,7 +158,7 @@ def _sent(status: Data) -> _Seen:
     if output["is_streaming"]:
         return f"ODOMETRY {output['rate']:.0f} Hz", []
     why = output["silence"] or output["reason"] or "nothing is due yet"
-    remedy = output["remedy"] or "See docs/ODOMETRY.md."
+    remedy = output["remedy"] or "Ask again in some seconds."
     return "no ODOMETRY", [
         failed(f"ODOMETRY is not sent: {why}.", f"{remedy[0].upper()}{remedy[1:]}")
     ]

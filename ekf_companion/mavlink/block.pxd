@@ -1,7 +1,7 @@
 cimport cython
 from ekf_companion.mavlink.block_rows cimport RowWriter
 from ekf_companion.mavlink.decode.preference cimport Pace, Preference
-from ekf_companion.mavlink.decode.repetition cimport Repetition
+from ekf_companion.nav.repetition cimport Repetition
 from ekf_companion.mavlink.dejitter cimport Dejitter
 from ekf_companion.mavlink.sequence cimport Sequence
 from ekf_companion.mavlink.timebase cimport Count, TimeBase

@@ -128,9 +128,11 @@ class PastFrames:
         self._read()
         number, place = frame.message_id, PLACES[frame.message_id]
         stamp = _stamp(frame.payload, place)
-        if _key(number, frame.payload) not in self._keys or stamp >= self._newest.get(number, 0):
+        if stamp >= self._newest.get(number, 0):
             self.keep(frame)
             return False
+        if _key(number, frame.payload) not in self._keys:
+            return False  # not kept: of a clock that began anew, a copy says nothing of the old one
         self.is_late = False
         self.again += 1
         if self._since_ns is None or now_ns - self._until_ns > _PAUSE_NS:

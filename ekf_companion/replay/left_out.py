@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from ekf_companion.mavlink.decode.heading import REPEATED
-from ekf_companion.mavlink.decode.heading import ZERO as ZERO_HEADING
-from ekf_companion.mavlink.decode.inertial import SOURCES
-from ekf_companion.mavlink.decode.repetition import LIMITED, STUCK, ZERO
-from ekf_companion.mavlink.decode.velocity import ALWAYS_ZERO, HELD
-from ekf_companion.mavlink.decode.velocity import REPEATED as REPEATED_VELOCITY
+from ekf_companion.nav.held_heading import REPEATED
+from ekf_companion.nav.held_heading import ZERO as ZERO_HEADING
+from ekf_companion.nav.held_velocity import ALWAYS_ZERO, HELD
+from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
 
 VELOCITIES = (ALWAYS_ZERO, HELD, REPEATED_VELOCITY)
 NO_PLACE = "without a place, as latitude and longitude 0"
@@ -89,6 +88,8 @@ def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iter
         refused: Numbers by ``refused: MESSAGE: why``.
         counts: Of what was used, by kind.
     """
+    from ekf_companion.mavlink.decode.inertial import SOURCES
+
     receivers = ("GPS_RAW_INT", "GPS2_RAW")
     reasons = [
         *((Kind.IMU, message, why, why) for message in SOURCES for why in (STUCK, LIMITED, ZERO)),

@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_companion.mavlink.decode.heading import HeldHeading
-from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
-from ekf_companion.mavlink.decode.repetition import Repetition
-from ekf_companion.mavlink.decode.velocity import HELD, HeldVelocities
-from ekf_companion.mavlink.decode.velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.earth import is_place
+from ekf_companion.nav.held_heading import HeldHeading
+from ekf_companion.nav.held_velocity import HELD, HeldVelocities
+from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
+from ekf_companion.nav.repetition import Repetition
 from ekf_companion.replay.left_out import NO_FIELD, NO_PLACE, LeftOut
 
 KINDS = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG)
@@ -78,6 +77,8 @@ NO_SAMPLES = StampCount(0)
 
 def stamps_of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> StampCount:
     """Return what the readers of messages found of stamps, by their counts of what was refused."""
+    from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
+
     repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
     return StampCount(counts.get(Kind.IMU, 0) + repeated + back, repeated, back)
 

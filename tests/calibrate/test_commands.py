@@ -23,6 +23,7 @@ def flown(tmp_path_factory):
     for name, seconds in (("figure-eight", "45"), ("static", "40"), ("hover", "12")):
         logs[name] = tmp_path_factory.mktemp("flown") / f"{name}.tlog"
         options = ["--scenario", name, "--duration", seconds, "--imu-rate", "25"]
+        options += ["--seed", str(len(logs))]  # frames of two flights are not the same
         made = CliRunner().invoke(simulator, ["generate", "-o", str(logs[name]), *options])
         assert made.exit_code == 0, made.output
     return logs
@@ -90,10 +91,11 @@ def test_nothing_overwrites_the_log(flown):
     assert flown["static"].read_bytes() == before
 
 
-def test_a_figure_that_cannot_be_written_ends_with_1(flown):
-    result = command("mag", flown["figure-eight"], "--plot", "figure.unknown")
-    assert result.exit_code == 1
-    assert "the figure cannot be written" in result.stderr
+@pytest.mark.parametrize("place", ["missing/figure.png", "figure.unknown"])
+def test_a_figure_that_could_not_be_written_is_refused_before_the_log_is_read(place):
+    result = command("mag", "missing.tlog", "--plot", place)
+    assert result.exit_code == 2
+    assert place in result.stderr
 
 
 def test_a_log_that_is_none_ends_with_3(tmp_path):

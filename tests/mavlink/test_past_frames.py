@@ -130,6 +130,23 @@ def test_a_clock_that_was_really_set_back_is_found(kind, back):
     assert [one.goes_on for one in restarts(found)] == [True]
 
 
+@pytest.mark.parametrize("share", [0.03, 0.3, 1.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_clock_that_began_anew_is_found_as_soon_where_frames_come_twice(kind, share):
+    rng = random.Random(7)
+    before, after = flight(kind, 3000), flight(kind, 3000, seed=2)
+    after = [(at + 13 * SECOND, frame) for at, frame in after]
+    twice = []
+    for at, frame in after:
+        twice += [(at, frame)] * (2 if rng.random() < share else 1)
+    once, doubled = Session(), Session()
+    expected = hear(once, [*before, *after])
+    found = hear(doubled, [*before, *twice])
+    assert len(restarts(found)) == len(restarts(expected)) == 1
+    assert len(samples(found)) == pytest.approx(len(samples(expected)), abs=20)
+    assert not doubled.past.is_named
+
+
 def test_a_stamp_of_zero_is_no_time_and_proves_nothing():
     session, sender = Session(), Sender(1, 1)
     hear(session, flight("HIGHRES_IMU", 600))

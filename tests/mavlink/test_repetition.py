@@ -4,7 +4,7 @@ reasons."""
 import numpy as np
 import pytest
 
-from ekf_companion.mavlink.decode.repetition import LIMITED, STUCK, Repetition
+from ekf_companion.nav.repetition import LIMITED, STUCK, Repetition
 
 PERIOD_US = 4000
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from ekf_companion.errors import LogError
-from ekf_companion.mavlink.decode.heading import REPEATED
-from ekf_companion.mavlink.decode.repetition import LIMITED, STUCK, ZERO
-from ekf_companion.mavlink.decode.velocity import ALWAYS_ZERO, HELD
-from ekf_companion.mavlink.decode.velocity import REPEATED as REPEATED_VELOCITY
+from ekf_companion.nav.held_heading import REPEATED
+from ekf_companion.nav.held_velocity import ALWAYS_ZERO, HELD
+from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
 from ekf_companion.replay.left_out import VERTICAL_ZERO, LeftOut, of_telemetry
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.verdict import Evidence, judge

@@ -9,13 +9,13 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import FIRST_OTHER, Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
-from ekf_companion.mavlink.decode.repetition import LIMITED, ZERO, Repetition, Sample
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import ImuSample
+from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
 SOURCES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 """The best first: whole numbers are coarser, and milliseconds coarser than microseconds."""

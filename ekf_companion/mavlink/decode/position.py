@@ -8,12 +8,13 @@ from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
-from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, HeldHeading, wrap
+from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
-from ekf_companion.mavlink.decode.velocity import REPEATED, HeldVelocities
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.earth import is_place
+from ekf_companion.nav.held_heading import HeldHeading
+from ekf_companion.nav.held_velocity import REPEATED, HeldVelocities
 from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
 
 _UNKNOWN_16 = 65535
