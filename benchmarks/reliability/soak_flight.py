@@ -13,6 +13,7 @@ from benchmarks.reliability.fuzz import resident_mb
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
+from ekf_companion.mavlink.past_frames import KEPT
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from sim_autopilot.autopilot import Received
@@ -58,7 +59,7 @@ class Look:
     resident: float
     """MB."""
     largest: int
-    """Items in the largest container reachable from the estimator."""
+    """Items in the largest container reachable from the estimator that keeps no past frames."""
     where: str
     """Its path from there."""
     waiting: int
@@ -173,8 +174,12 @@ def plan(personality: str, seed: int, duration: float, scenario: str = "figure-e
 
 
 def look(companion: Companion, t: float) -> Look:
-    """Measure the process's memory and every container reachable from the estimator."""
-    where, largest = max(containers(companion), key=lambda found: found[1])
+    """Measure the process's memory and every container reachable from the estimator.
+
+    The frames of the last seconds, and what they are told by, count beyond their own bound only.
+    """
+    found = [one for one in containers(companion) if not (".past._" in one[0] and one[1] <= KEPT)]
+    where, largest = max(found, key=lambda one: one[1])
     pipeline = companion.pipeline
     waiting = 0 if pipeline is None else len(pipeline.state().waiting)
     return Look(t=t, resident=resident_mb(), largest=largest, where=where, waiting=waiting)
