@@ -84,15 +84,23 @@ def _begin(frames: list[Delivered]) -> int:
     return frames[0][0] + round(BEGIN * SECOND_NS)
 
 
-def stall(span: float, share: float, behind: float, frames: list[Delivered]) -> list[Delivered]:
-    """Stop for a span, s, then deliver a share of what was sent, all but ``behind`` s late."""
-    chance = random.Random(1)
+def _stop(span: float, frames: list[Delivered], lag: Callable[[], float | None]) -> list[Delivered]:
+    """Stop for a span, s, then deliver each frame of it as much later as it lags; None: never."""
     begin = _begin(frames)
     end = begin + round(span * SECOND_NS)
     before, within, after = _split(frames, begin, end)
-    at = end + round(behind * SECOND_NS)
-    late = [(at + 1000 * i, *one[1:]) for i, one in enumerate(within) if chance.random() < share]
-    return sorted([*before, *late, *after], key=lambda one: one[0])
+    held = [
+        (end + round(late * SECOND_NS) + 1000 * i, *one[1:])
+        for i, one in enumerate(within)
+        if (late := lag()) is not None
+    ]
+    return sorted([*before, *held, *after], key=lambda one: one[0])
+
+
+def stall(span: float, share: float, behind: float, frames: list[Delivered]) -> list[Delivered]:
+    """Stop for a span, s, then deliver a share of what was sent, all but ``behind`` s late."""
+    chance = random.Random(1)
+    return _stop(span, frames, lambda: behind if chance.random() < share else None)
 
 
 def replay(count: int, age: float, times: int, frames: list[Delivered]) -> list[Delivered]:
@@ -106,15 +114,7 @@ def replay(count: int, age: float, times: int, frames: list[Delivered]) -> list[
 def backlog(span: float, share: float, behind: float, frames: list[Delivered]) -> list[Delivered]:
     """Stop for a span, s, then deliver all that was sent, a share of it ``behind`` s later."""
     chance = random.Random(4)
-    begin = _begin(frames)
-    end = begin + round(span * SECOND_NS)
-    before, within, after = _split(frames, begin, end)
-    at = end + round(behind * SECOND_NS)
-    held = [
-        ((at if chance.random() < share else end) + 1000 * i, *one[1:])
-        for i, one in enumerate(within)
-    ]
-    return sorted([*before, *held, *after], key=lambda one: one[0])
+    return _stop(span, frames, lambda: behind if chance.random() < share else 0.0)
 
 
 def two_paths(apart: float, missing: float, frames: list[Delivered]) -> list[Delivered]:

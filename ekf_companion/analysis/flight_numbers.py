@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.analysis import difference
+from ekf_companion.analysis.gaps import GAP_NS
 from ekf_companion.analysis.score import Score, score
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
@@ -19,8 +20,6 @@ from ekf_companion.replay.track import SLOT_NS
 
 LEG = 1.0
 """m; what moves less since the last corner of a way is the estimate that wanders at rest."""
-PAUSE_NS = 2_000_000_000
-"""Over a longer one nothing says how the vehicle went."""
 SMOOTH_S = 0.2
 """The mean over such a time is motion, the rest is vibration: 5 Hz, as ArduPilot's VIBE has it."""
 LEAST_RATE, LEAST_FORCE = 0.5, 11.5
@@ -152,7 +151,7 @@ def motion(table: Table) -> Motion:
     ned = LocalFrame(float(lat[0]), float(lon[0]), float(places[0, 2])).to_ned(
         lat, lon, places[:, 2]
     )
-    is_new = (np.diff(table.stamp_ns[rows]) > PAUSE_NS) | (np.diff(resets) != 0.0)
+    is_new = (np.diff(table.stamp_ns[rows]) > GAP_NS) | (np.diff(resets) != 0.0)
     speed = np.hypot(*table.columns(VELOCITY)[rows, :2].T)
     known = speed[np.isfinite(speed)]
     return Motion(

@@ -8,9 +8,9 @@ import numpy as np
 
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 
-GAP_S = 2.0
+GAP_NS = 2_000_000_000
 GAP_STEPS = 5.0
-"""A line is not drawn over steps longer than that, nor than so many of its usual ones."""
+"""A line is not drawn over steps longer than that, ns, nor than so many of its usual ones."""
 
 
 def begins(t_ns: Stamps, jumps_ns: Sequence[int] = ()) -> Indices:
@@ -23,7 +23,7 @@ def begins(t_ns: Stamps, jumps_ns: Sequence[int] = ()) -> Indices:
     steps = np.diff(t_ns)
     if not len(steps):
         return np.zeros(0, dtype=np.intp)
-    longest = max(GAP_S * 1e9, GAP_STEPS * float(np.median(steps)))
+    longest = max(GAP_NS, GAP_STEPS * float(np.median(steps)))
     anew = np.searchsorted(t_ns, np.asarray(jumps_ns, dtype=np.int64))
     anew = anew[(anew > 0) & (anew < len(t_ns))]
     return np.union1d(np.flatnonzero(steps > longest) + 1, anew).astype(np.intp)

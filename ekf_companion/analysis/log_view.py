@@ -163,7 +163,7 @@ def _looks(review: FlightReview, zero_ns: int) -> dict[str, Any]:
     seconds = [(look.t_ns - zero_ns) * 1e-9 for look in looks]
     shown: list[Look | None] = [*looks]
     # One comes in each second with a sample
-    silent = np.diff(np.array([look.t_ns for look in looks], np.int64)) > int(gaps.GAP_S * 1e9)
+    silent = np.diff(np.array([look.t_ns for look in looks], np.int64)) > gaps.GAP_NS
     for at in (np.flatnonzero(silent) + 1)[::-1].tolist():
         shown.insert(at, None)
         seconds.insert(at, seconds[at - 1] + BEHIND_S)

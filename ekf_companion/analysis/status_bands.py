@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekf_companion.analysis.gaps import GAP_NS
 from ekf_companion.nav.arrays import Mask, Stamps
 from ekf_companion.nav.state import COLUMNS, Reason, Status, Table
 
-GAP_NS = 2_000_000_000
-"""Without a sample for longer nothing was estimated."""
 NO_SAMPLES = "no inertial samples"
 REASONS = "reasons"
 """The column with the sum of the reasons' bits, where a table has one."""

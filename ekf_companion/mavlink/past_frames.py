@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import islice
+from struct import calcsize
 from typing import TYPE_CHECKING
 
 from ekf_companion.mavlink.frame import Frame
@@ -55,8 +56,7 @@ def _places() -> dict[int, tuple[int, int, int]]:
         layout = LAYOUTS[number]
         start = 0
         for field in layout.fields:
-            size = {"Q": 8, "q": 8, "d": 8, "B": 1, "b": 1, "s": 1, "c": 1, "H": 2, "h": 2}
-            width = size.get(field.code, 4)
+            width = calcsize(f"<{field.code}")
             if field.name in _NAMES and not field.length:
                 places[number] = (start, start + width, _NAMES[field.name])
                 break
