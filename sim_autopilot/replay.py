@@ -16,6 +16,7 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs import csv, dataflash, tlog, ulog
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.tlog_senders import autopilot_of
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import HeadingSource, Kind
@@ -51,10 +52,10 @@ def frames(path: Path) -> Iterator[Timed]:
 
 def _of_tlog(path: Path) -> Iterator[Timed]:
     log = tlog.read(path)
+    theirs = autopilot_of(log)
     latest_us = 0
     for stamp_us, frame in log.frames():
         system, component = (frame[5], frame[6]) if frame[0] == 0xFD else (frame[3], frame[4])
-        theirs = log.autopilot
         if theirs is None or (system, component) == (theirs.system_id, theirs.component_id):
             latest_us = max(latest_us, stamp_us)
             yield latest_us * 1000, frame

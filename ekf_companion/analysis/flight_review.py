@@ -164,7 +164,7 @@ def review(
         numbers=numbers(table, [_moved(one, 0, -zero) for one in others], events),
         bands=bands(table),
         jumps_ns=tuple(table.stamp_ns[1:][np.diff(table.column("reset_count")) != 0.0].tolist()),
-        onboard=_on_drawn_clock(onboard(run.log), shift_ns),
+        onboard=_on_drawn_clock(onboard(run.log, run.autopilot), shift_ns),
         settings=_changed(config),
         tiles=config.http.tiles,
         tiles_credit=config.http.tiles_credit,

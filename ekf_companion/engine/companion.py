@@ -33,6 +33,7 @@ from ekf_companion.mavlink.datagram import DatagramReader
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import (
+    Event,
     GuardChanged,
     IntervalSet,
     OriginTold,
@@ -98,6 +99,8 @@ class Companion:
         """The newest; None: none since the autopilot was found or has rebooted."""
         self._open_pipeline = open_pipeline or Pipeline
         self._announcer = Announcer(self.session) if is_live else None
+        self.on_event: Callable[[Event], None] | None = None
+        """Called with each event of the session, before anything follows from it."""
         self._publisher: Publisher | None = None
         self._reader = DatagramReader(self.session)
         self._comparison = Comparison()
@@ -257,6 +260,8 @@ class Companion:
         for event in self.session.events():
             if self._announcer is not None:
                 self._announcer.on_event(event, now_ns)
+            if self.on_event is not None:
+                self.on_event(event)
             match event:
                 case PeerFound():
                     self._begin(event)

@@ -57,14 +57,11 @@ SILENCE_US = 1_000_000
 MOST_ROWS = 200_000
 """Of a message for which some are enough: two hours at 25 Hz, and 50 MB of all that is made of
 them."""
-_FAMILIES = {3: "ardupilot", 12: "px4"}
-"""MAV_AUTOPILOT."""
-_NO_AUTOPILOT = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Autopilot:
-    """The source of the telemetry, by the first heartbeat of an autopilot."""
+    """The source of the telemetry that is used."""
 
     system_id: int
     component_id: int
@@ -84,7 +81,6 @@ class Tlog:
     """Number of records by the id of the message."""
     damaged: int
     """Number of runs of bytes that are no record."""
-    autopilot: Autopilot | None
     notes: tuple[str, ...] = field(default=())
     damage: Damage = UNDAMAGED
 
@@ -169,6 +165,17 @@ class Tlog:
                     table = tables[name][first : filled[name]]
                     _fill(table, raw, begin, rows[kept], some[kept], IDS[name])
         return {name: table[: filled[name]] for name, table in tables.items() if filled[name]}
+
+    def bytes_of(
+        self, message_ids: Sequence[int]
+    ) -> Iterator[tuple[Column, npt.NDArray[np.uint8], int]]:
+        """Yield the records of some messages, bytes of the file, and the place of the first."""
+        for _, rows in self._parts(None):
+            rows = rows[np.isin(rows["message_id"], message_ids)]
+            if len(rows):
+                begin, last = int(rows["place"][0]), rows[-1]
+                raw = self.source.read(begin, int(last["place"]) + int(last["size"]))
+                yield rows, np.frombuffer(raw, dtype=np.uint8), begin
 
     def last_before(self, names: Sequence[str], order: Indices) -> Indices:
         """Return the number of the last record of some messages before each record of an order.
@@ -286,7 +293,6 @@ def read(path: Path) -> Tlog:
         records=records,
         counts=_counts(records),
         damaged=damaged,
-        autopilot=_find_autopilot(source, records),
         notes=(*source.notes, *_left_out(source, gaps)),
         damage=_damage(source, gaps),
     )
@@ -365,16 +371,3 @@ def _find_records(source: Source) -> tuple[StoredRows, int]:
         records.append(rows)
         place += after
     return records, state[-1]
-
-
-def _find_autopilot(source: Source, records: StoredRows) -> Autopilot | None:
-    """Return the first that sent a heartbeat; None: none did."""
-    for _, rows in records.parts():
-        for place in rows["place"][rows["message_id"] == IDS["HEARTBEAT"]].tolist():
-            data = source.read(place, place + 16)
-            ids, payload = (5, 10) if data[0] == 0xFD else (3, 6)
-            # Behind custom_mode and type; 0 if the payload is cut short
-            autopilot = data[payload + 5] if data[1] > 5 else 0
-            if autopilot != _NO_AUTOPILOT:
-                return Autopilot(data[ids], data[ids + 1], _FAMILIES.get(autopilot, "unknown"))
-    return None

@@ -14,7 +14,7 @@ from ekf_companion.logs.onboard import (
     onboard,
 )
 from ekf_companion.logs.stored_rows import Column
-from ekf_companion.logs.tlog import ORDER, Tlog
+from ekf_companion.logs.tlog import ORDER, Autopilot, Tlog
 from ekf_companion.logs.tlog_trajectory import boot_clock
 
 _INT_TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}
@@ -27,20 +27,18 @@ _FIELDS = {
 _NAMES = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
 
-def read(log: Tlog) -> Onboard:
+def read(log: Tlog, of: Autopilot) -> Onboard:
     """Return what the autopilot sent of itself."""
-    if log.autopilot is None:
-        return Onboard()
-    ids = log.autopilot.system_id, log.autopilot.component_id
+    ids = of.system_id, of.component_id
     found = log.columns([*_FIELDS], *ids, fields=_FIELDS)
     firmware = ""
     if (rows := found.get("AUTOPILOT_VERSION")) is not None:
         said = rows["flight_sw_version"][rows["flight_sw_version"] != 0]
         if len(said):
             major, minor, patch, _ = int(said[-1]).to_bytes(4, "big")
-            firmware = f"{_NAMES.get(log.autopilot.family, '')} {major}.{minor}.{patch}".strip()
-    messages, more = _messages(log, found.get("STATUSTEXT"))
-    is_bytewise = log.autopilot.family == "px4"
+            firmware = f"{_NAMES.get(of.family, '')} {major}.{minor}.{patch}".strip()
+    messages, more = _messages(log, of, found.get("STATUSTEXT"))
+    is_bytewise = of.family == "px4"
     parameters = _parameters(found.get("PARAM_VALUE"), is_bytewise=is_bytewise)
     return onboard(messages, parameters, firmware, more)
 
@@ -58,11 +56,11 @@ def _parameters(rows: Column | None, *, is_bytewise: bool) -> dict[str, float]:
     return values
 
 
-def _messages(log: Tlog, rows: Column | None) -> tuple[list[Message], int]:
+def _messages(log: Tlog, of: Autopilot, rows: Column | None) -> tuple[list[Message], int]:
     """Return the lines, those that came in several parts put together, and how many are more."""
     if rows is None:
         return [], 0
-    order, t_ns = boot_clock(log)
+    order, t_ns = boot_clock(log, of)
     kept = rows[:MOST]
     at = kept[ORDER]
     # Of other boots than the longest no stamp is on the clock of the estimates

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ekf_companion.logs import series
 from ekf_companion.logs.stored_rows import Column
-from ekf_companion.logs.tlog import ORDER, STAMP, Tlog
+from ekf_companion.logs.tlog import ORDER, STAMP, Autopilot, Tlog
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Mask, Stamps, known_rows
@@ -76,25 +76,25 @@ def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
 
 
 def _tables(
-    log: Tlog, names: Sequence[str], fields: Mapping[str, Sequence[str]]
+    log: Tlog, of: Autopilot, names: Sequence[str], fields: Mapping[str, Sequence[str]]
 ) -> dict[str, Column]:
     """Return the autopilot's messages of one boot, by their names, and those that tell its time."""
-    if log.autopilot is None:
-        return {}
-    ids = log.autopilot.system_id, log.autopilot.component_id
+    ids = of.system_id, of.component_id
     names = [*names, *(name for name in ("ATTITUDE", *_INERTIAL) if name not in names)]
     tables = _one_boot(log.columns(names, *ids, rates=RATES, fields={**_TIMES, **fields}))
     return {name: table for name, table in tables.items() if len(table)}
 
 
-def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple[Mask, Stamps]:
+def _stamps_before(
+    log: Tlog, of: Autopilot, tables: dict[str, Column], order: Stamps
+) -> tuple[Mask, Stamps]:
     """Return which records have an inertial message of that boot before them, and its time, ns."""
     clocks = [tables[name] for name in _INERTIAL if name in tables]
     none = np.zeros(len(order), dtype=np.bool_), np.zeros(0, dtype=np.int64)
-    if log.autopilot is None or not clocks:
+    if not clocks:
         return none
     wanted = log.last_before(_INERTIAL, order)
-    ids = log.autopilot.system_id, log.autopilot.component_id
+    ids = of.system_id, of.component_id
     each = wanted[np.diff(wanted, prepend=-1) > 0]
     found = log.columns(_INERTIAL, *ids, fields=_TIMES, only=each)
     if not found:
@@ -106,23 +106,23 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
     return has_stamp, t_ns[at[has_stamp]]
 
 
-def boot_clock(log: Tlog) -> tuple[Stamps, Stamps]:
+def boot_clock(log: Tlog, of: Autopilot) -> tuple[Stamps, Stamps]:
     """Return the boot time of some records of the longest boot, ns, and their numbers before it.
 
     Between two of them a tenth of a second passes or less; both are empty where none tells it.
     """
-    tables = [*_tables(log, (), {}).values()]
+    tables = [*_tables(log, of, (), {}).values()]
     return _clock(tables) if tables else (np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
-def utc_zero_ns(log: Tlog) -> int | None:
+def utc_zero_ns(log: Tlog, of: Autopilot) -> int | None:
     """Return the UTC at which the autopilot's clock was zero, ns, by that of the recorder.
 
     None where that was not set, or the autopilot rebooted.
     """
-    if log.began_s is None or log.autopilot is None:
+    if log.began_s is None:
         return None
-    ids = log.autopilot.system_id, log.autopilot.component_id
+    ids = of.system_id, of.component_id
     found = log.columns(["ATTITUDE", *_INERTIAL], *ids, rates=RATES, fields=_TIMES)
     names = [name for name in ("ATTITUDE", *_INERTIAL) if name in found]
     if not names:
@@ -135,14 +135,14 @@ def utc_zero_ns(log: Tlog) -> int | None:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
-def reference(log: Tlog) -> Trajectory | None:
+def reference(log: Tlog, of: Autopilot) -> Trajectory | None:
     """Return the autopilot's own estimate on its boot clock, or None if the log holds none.
 
     Position is GLOBAL_POSITION_INT's, or LOCAL_POSITION_NED's about GPS_GLOBAL_ORIGIN; velocity
     is LOCAL_POSITION_NED's, or GLOBAL_POSITION_INT's; attitude is ATTITUDE's.
     """
     world, local, origin = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"
-    tables = _tables(log, [world, local, origin, "ATTITUDE"], _ESTIMATED)
+    tables = _tables(log, of, [world, local, origin, "ATTITUDE"], _ESTIMATED)
     if not {world, local, "ATTITUDE"} & tables.keys():
         return None
     tables = {
@@ -177,7 +177,7 @@ def reference(log: Tlog) -> Trajectory | None:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
-def truth(log: Tlog) -> Trajectory | None:
+def truth(log: Tlog, of: Autopilot) -> Trajectory | None:
     """Return the simulator's truth on the autopilot's boot clock, or None if there is none.
 
     SIM_STATE (ArduPilot) has no stamp and HIL_STATE_QUATERNION (PX4) an empty one: each takes the
@@ -185,11 +185,11 @@ def truth(log: Tlog) -> Trajectory | None:
     """
     if not any(log.counts.get(IDS[name]) for name in _TRUTH):
         return None
-    tables = _tables(log, _TRUTH, _TRUE)
+    tables = _tables(log, of, _TRUTH, _TRUE)
     name = next((name for name in _TRUTH if name in tables), None)
     if name is None:
         return None
-    has_stamp, t_ns = _stamps_before(log, tables, tables[name][ORDER])
+    has_stamp, t_ns = _stamps_before(log, of, tables, tables[name][ORDER])
     later = series.ascending(t_ns)
     table, t_ns = tables.pop(name)[np.flatnonzero(has_stamp)[later]], t_ns[later]
     if name == "SIM_STATE":

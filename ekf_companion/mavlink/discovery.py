@@ -105,6 +105,8 @@ class Discovery(Service):
         self._wanted = wanted
         self._on_other_autopilot = on_other_autopilot
         self._expected = expected
+        self._is_bound = False
+        """Whether no other than the expected one is listened to."""
         self._is_sure = False
         """Whether the family is known from a heartbeat."""
         self._doubt: Family | None = None
@@ -133,6 +135,10 @@ class Discovery(Service):
             return
         self.peer = sender
         self._find(expected.family, now_ns)
+
+    def expect(self, peer: PeerFound) -> None:
+        """Listen to one that sends no heartbeats, from its first frame on, and to nobody else."""
+        self._expected, self._is_bound = peer, True
 
     def excuse(self, span_ns: int) -> None:
         """Do not count a time in which we did not listen as silence."""
@@ -189,7 +195,7 @@ class Discovery(Service):
 
     def _is_better(self, sender: tuple[int, int], family: Family, now_ns: int) -> bool:
         """Whether to listen, from now on, to somebody who is not the peer."""
-        if self._wanted not in (None, sender[0]):
+        if self._is_bound or self._wanted not in (None, sender[0]):
             return False
         if self.peer is None:
             return True

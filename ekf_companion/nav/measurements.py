@@ -274,11 +274,36 @@ class Events:
         return Events(t_ns=self.t_ns[index], kind=self.kind[index], values=self.values[index])
 
 
+SILENT_NS = 2_000_000_000
+"""Without a fix of the first receiver for so long, that of the second counts."""
+
+
 def of_receiver(events: Events) -> Mask:
-    """Return which events are fixes of the first receiver, and no autopilot's own position."""
+    """Return which events are fixes of the receiver in use, and no autopilot's own position.
+
+    Those of the second receiver count where the first has none within two seconds.
+    """
+    is_fix = events.kind == Kind.GNSS
+    flags = np.where(is_fix, events.values[:, GNSS_FLAGS], 0.0)
+    is_first = is_fix & (flags != GnssFlag.DERIVED) & (flags < GnssFlag.SECOND)
+    is_second = is_fix & (flags >= GnssFlag.SECOND)
+    if not is_second.any():
+        return np.asarray(is_first)
+    first_ns = np.sort(events.t_ns[is_first])
+    if len(first_ns):
+        t_ns = events.t_ns[is_second]
+        after = np.searchsorted(first_ns, t_ns)
+        before_ns = first_ns[np.maximum(after - 1, 0)]
+        after_ns = first_ns[np.minimum(after, len(first_ns) - 1)]
+        apart_ns = np.minimum(np.abs(t_ns - before_ns), np.abs(after_ns - t_ns))
+        is_second[is_second] = apart_ns > SILENT_NS
+    return np.asarray(is_first | is_second)
+
+
+def is_derived(events: Events) -> Mask:
+    """Return which events are positions of the autopilot's own estimate."""
     flags = events.values[:, GNSS_FLAGS]
-    is_other = (flags == GnssFlag.DERIVED) | (flags >= GnssFlag.SECOND)
-    return np.asarray((events.kind == Kind.GNSS) & ~is_other)
+    return np.asarray((events.kind == Kind.GNSS) & (flags == GnssFlag.DERIVED))
 
 
 def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:

@@ -96,7 +96,7 @@ def _convert_to_files(
         else:
             run = Run(path, config, BlockPipeline)
             tables = (block.table for block in run.blocks(progress))
-        label = cache(lambda: Label(path.name, utc_zero_ns(run.log)))
+        label = cache(lambda: Label(path.name, utc_zero_ns(run.log, run.autopilot)))
         writers = [
             (stack.enter_context(open_writer(out, label)), Thinning(rate or RATES.get(out.suffix)))
             for out in outs
@@ -248,8 +248,8 @@ def read(
     return Recording(
         family=families[chosen[-1]],
         events=longest.take(longest.kind != Kind.RESTART),
-        reference=reference(run.log),
-        truth=truth(run.log),
+        reference=reference(run.log, run.autopilot),
+        truth=truth(run.log, run.autopilot),
         counted=run.log.counted if isinstance(run.log, Recording) else None,
         gnss_delay=run.gnss_delay,
         notes=tuple(run.report.notes),

@@ -15,7 +15,7 @@ from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
 
 if TYPE_CHECKING:
-    from ekf_companion.logs.tlog import Tlog
+    from ekf_companion.logs.tlog import Autopilot, Tlog
 
 READERS = {
     ".bin": "dataflash",
@@ -62,39 +62,52 @@ def open_log(path: Path) -> Log:
     return cast("Recording", import_module(f"ekf_companion.logs.{READERS[suffix]}").read(path))
 
 
-def reference(log: Log) -> Trajectory | None:
-    """Return the autopilot's own estimate; None if the log has none."""
+def reference(log: Log, of: Autopilot | None = None) -> Trajectory | None:
+    """Return the autopilot's own estimate; None if the log has none.
+
+    ``of`` is the autopilot of a .tlog that is listened to.
+    """
     if isinstance(log, Recording):
         return log.reference
-    from ekf_companion.logs import tlog_trajectory
+    from ekf_companion.logs import tlog_senders, tlog_trajectory
 
-    return tlog_trajectory.reference(log)
+    of = of or tlog_senders.autopilot_of(log)
+    return None if of is None else tlog_trajectory.reference(log, of)
 
 
-def truth(log: Log) -> Trajectory | None:
-    """Return the truth of a simulator or an optical system; None if the log has none."""
+def truth(log: Log, of: Autopilot | None = None) -> Trajectory | None:
+    """Return the truth of a simulator or an optical system; None if the log has none.
+
+    ``of`` is the autopilot of a .tlog that is listened to.
+    """
     if isinstance(log, Recording):
         return log.truth
-    from ekf_companion.logs import tlog_trajectory
+    from ekf_companion.logs import tlog_senders, tlog_trajectory
 
-    return tlog_trajectory.truth(log)
+    of = of or tlog_senders.autopilot_of(log)
+    return None if of is None else tlog_trajectory.truth(log, of)
 
 
-def onboard(log: Log) -> Onboard:
-    """Return firmware, parameters and messages, as far as a log holds them."""
+def onboard(log: Log, of: Autopilot | None = None) -> Onboard:
+    """Return firmware, parameters and messages, as far as a log holds them.
+
+    ``of`` is the autopilot of a .tlog that is listened to.
+    """
     if isinstance(log, Recording):
         return log.onboard
-    from ekf_companion.logs import tlog_text
+    from ekf_companion.logs import tlog_senders, tlog_text
 
-    return tlog_text.read(log)
+    of = of or tlog_senders.autopilot_of(log)
+    return Onboard() if of is None else tlog_text.read(log, of)
 
 
-def utc_zero_ns(log: Log) -> int | None:
+def utc_zero_ns(log: Log, of: Autopilot | None = None) -> int | None:
     """Return the UTC at which the autopilot's clock was zero, ns since 1970; None: not known."""
     if isinstance(log, Recording):
         found = log.utc_zero_ns
     else:
-        from ekf_companion.logs import tlog_trajectory
+        from ekf_companion.logs import tlog_senders, tlog_trajectory
 
-        found = tlog_trajectory.utc_zero_ns(log)
+        of = of or tlog_senders.autopilot_of(log)
+        found = None if of is None else tlog_trajectory.utc_zero_ns(log, of)
     return found if found is not None and CLOCK_SET_S < found * 1e-9 < LATEST_S else None

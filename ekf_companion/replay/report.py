@@ -14,7 +14,7 @@ from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage
 from ekf_companion.nav.arrays import median
-from ekf_companion.nav.measurements import Events, Kind, of_receiver
+from ekf_companion.nav.measurements import Events, Kind, is_derived, of_receiver
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay.extent import Extent
 from ekf_companion.replay.left_out import LeftOut
@@ -48,6 +48,8 @@ class Report:
     refused: dict[str, int] = field(default_factory=dict)
     damage: Damage = UNDAMAGED
     """What of the file could not be read."""
+    elsewhere: str = ""
+    """Whose inertial samples the log holds that were not asked for, in words."""
     lost_share: float = 0.0
     """Of the telemetry's frames: lost on the link, by their numbers."""
     is_contradictory: bool = False
@@ -113,7 +115,7 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             medians = report.steps.setdefault(kind, [])
             medians.append(median(steps))
             report.rates[kind] = 1e9 / median(medians)
-    report.derived += int(np.count_nonzero(events.kind == Kind.GNSS)) - len(events.t_ns[is_fix])
+    report.derived += int(np.count_nonzero(is_derived(events)))
     report.estimates += len(table)
     report.track.add(events, table)
     report.extent.add(events)
@@ -139,6 +141,7 @@ def note_shortcomings(report: Report, path: Path) -> None:
             f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
             "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
             + (f" ({report.damage.words})" if report.damage.words else "")
+            + (f"; {report.elsewhere}" if report.elsewhere else "")
         )
     if report.reboots:
         times = "once" if report.reboots == 1 else f"{report.reboots} times"

@@ -16,7 +16,6 @@ import numpy as np
 from ekf_companion.config.config import Config
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.engine.checkpoint import Vehicle
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
@@ -26,15 +25,17 @@ from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.left_out import of_telemetry
 from ekf_companion.replay.log_source import open_log, reference, truth
 from ekf_companion.replay.magnetometer import MagnetometerCheck
+from ekf_companion.replay.receivers import ReceiverCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
 from ekf_companion.replay.screen import Screen, stamps_of_telemetry
 
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
-    from ekf_companion.logs.tlog import Tlog
+    from ekf_companion.logs.tlog import Autopilot, Tlog
     from ekf_companion.mavlink.block import BlockReader
     from ekf_companion.mavlink.outbox import Message
     from ekf_companion.replay.agreement import AgreementCheck
+    from ekf_companion.replay.vehicles import Vehicles
 
 CHUNK = 20_000
 """Measurements in a block, and between two reports of progress."""
@@ -80,6 +81,8 @@ class BlockPipeline(Pipeline):
         """Finished, in order; whoever reads them clears the list."""
         self.buffer = EventBuffer(CHUNK)
         """Measurements of the block that is not finished yet."""
+        self.measured = 0
+        """Measurements of all blocks."""
         self.worker: Executor = ThreadPoolExecutor(max_workers=1)
 
     def process_row(self, row: Row) -> Estimate | None:
@@ -93,6 +96,7 @@ class BlockPipeline(Pipeline):
 
     def run_block(self, events: Events) -> Block:
         """Let measurements be processed as a block of their own."""
+        self.measured += len(events)
         block = Block(self, events, self.worker.submit(self.run, events))
         self.blocks.append(block)
         return block
@@ -171,6 +175,7 @@ class Run(Generic[P]):
         self._blocks: list[Block] = []  # of all pipelines, not yet reported on
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
+        self._receivers = ReceiverCheck()
         self._agreement: AgreementCheck | None = None
         self._screen = Screen()
         self._faults: list[str] = []
@@ -180,7 +185,7 @@ class Run(Generic[P]):
             from ekf_companion.replay.agreement import AgreementCheck
 
             self._agreement = AgreementCheck(config.gnss.delay)
-        self._vehicle: Vehicle | None = None
+        self._vehicles: Vehicles | None = None  # of a .tlog
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
             self.report.family = self.log.family
@@ -239,12 +244,13 @@ class Run(Generic[P]):
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self._note_left_out()
-        self.report.notes += self._magnetometer.notes()
+        self.report.notes += self._magnetometer.notes() + self._receivers.notes()
         self.compare_sensors()
         self.report.is_contradictory = bool(self._faults)
         self.report.notes += self._faults + self._doubts
         note_shortcomings(self.report, self._path)
-        self.report.own, self.report.truth = reference(self.log), truth(self.log)
+        self.report.own = reference(self.log, self.autopilot)
+        self.report.truth = truth(self.log, self.autopilot)
         return self.report
 
     def _note_left_out(self) -> None:
@@ -257,10 +263,15 @@ class Run(Generic[P]):
             report.left_out = list(of_telemetry(report.refused, report.counts))
             report.stamps = stamps_of_telemetry(report.refused, report.counts)
         report.notes += [one.note for one in report.left_out]
+    @property
+    def autopilot(self) -> Autopilot | None:
+        """The autopilot of a .tlog that was listened to for most of it; None: there is none."""
+        return None if self._vehicles is None else self._vehicles.compared
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""
         companion = self._open_companion()
+        self._look_who_speaks(companion, log)
         for self._done, (stamp_us, frame) in enumerate(log.frames(), 1):
             messages = companion.receive(frame, stamp_us * 1000)
             self._follow(companion)
@@ -272,6 +283,7 @@ class Run(Generic[P]):
         from ekf_companion.mavlink.block import BlockReader
 
         companion = self._open_companion()
+        self._look_who_speaks(companion, log)
         reader = BlockReader(companion.session)
         before = 0
         for frames in log.pieces():
@@ -305,15 +317,22 @@ class Run(Generic[P]):
 
         return Companion(self._config, open_pipeline=self._open_pipeline)
 
+    def _look_who_speaks(self, companion: Companion, log: Tlog) -> None:
+        from ekf_companion.replay.vehicles import Vehicles
+
+        self._vehicles = Vehicles(log, self._config.link.autopilot, self.report)
+        self._vehicles.attend(companion)
+
     def _follow(self, companion: Companion) -> None:
         """Do what is due after a frame that the companion has received."""
         companion.frames_to_send()  # nobody hears them
-        if companion.vehicle is not self._vehicle:
-            self._note_vehicle(companion.vehicle)
+        if self._vehicles is not None and self._vehicles.follow(companion, self.pipelines[-1:]):
             self._system_id = companion.session.outbox.ids[0]
         self._finish_full_block()
 
     def _note_refused(self, companion: Companion) -> None:
+        if self._vehicles is not None:
+            self._vehicles.finish(companion)
         counts = companion.session.counters()
         self.report.refused = {name: n for name, n in counts.items() if n and name != "frames"}
         self.report.lost_share = counts["lost"] / max(counts["lost"] + counts["frames"], 1)
@@ -370,21 +389,13 @@ class Run(Generic[P]):
         for block in blocks:
             add_block(self.report, block.events, block.table)
             self._magnetometer.add(block.events, block.table)
+            if not isinstance(self.log, Recording):
+                self._receivers.add(block.events)
             if self._agreement is not None:
                 self._agreement.add(block.events)
         if progress is not None:
             progress(self._done, self.size)
         return blocks
-
-    def _note_vehicle(self, vehicle: Vehicle | None) -> None:
-        if vehicle is not None and self._vehicle is not None:
-            self.report.notes.append(
-                f"the autopilot is another from some time on: system {vehicle.system_id}, "
-                f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
-                "there"
-            )
-        self._vehicle = vehicle
-        self.report.family = "unknown" if vehicle is None else vehicle.family
 
 
 def _is_from(frame: bytes, component_id: int) -> bool:

@@ -5,11 +5,12 @@ import pytest
 
 from ekf_companion.analysis import score, trajectory_figure
 from ekf_companion.errors import CompanionError, LogError
-from ekf_companion.logs import tlog, tlog_trajectory
+from ekf_companion.logs import tlog
 from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import COLUMNS, Trajectory
+from ekf_companion.replay import log_source
 from tests.paths import DATA
 
 FRAME = LocalFrame(0.8, 0.1, 500.0)
@@ -209,8 +210,8 @@ def test_the_autopilots_own_error_is_what_was_found_before(
     log = tlog.read(path)
     start_ns, end_ns = (round(edge * 1e9) for edge in window)
     found = score.score(
-        tlog_trajectory.reference(log),
-        tlog_trajectory.truth(log),
+        log_source.reference(log),
+        log_source.truth(log),
         start_ns=start_ns,
         end_ns=end_ns,
     )

@@ -99,7 +99,8 @@ def telemetry(tmp_path, *messages):
     path = tmp_path / "log.tlog"
     stamps = (struct.pack(">Q", 1_700_000_000_000_000 + 1_000_000 * i) for i in range(len(frames)))
     path.write_bytes(b"".join(a + b for a, b in zip(stamps, frames, strict=True)))
-    return tlog_text.read(tlog.read(path))
+    log = tlog.read(path)
+    return tlog_text.read(log, log.autopilot)
 
 
 def test_a_telemetry_log_says_them_too_with_long_texts_put_together(tmp_path):

@@ -9,8 +9,10 @@ from pymavlink.dialects.v10 import ardupilotmega as first
 from pymavlink.dialects.v20 import ardupilotmega as second
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import stored_rows, tlog, tlog_trajectory
+from ekf_companion.logs import stored_rows, tlog
 from ekf_companion.logs.estimate import read_truth
+from ekf_companion.logs.tlog_senders import autopilot_of
+from ekf_companion.replay import log_source
 
 START_US = 1_700_000_000_000_000
 
@@ -61,8 +63,9 @@ def test_every_frame_comes_back_with_its_stamp(written, version):
     assert log.damaged == 0
 
 
-def test_the_autopilot_is_who_says_so_first(written):
-    assert tlog.read(written(b"".join(small_log()))).autopilot == tlog.Autopilot(1, 1, "px4")
+def test_the_autopilot_is_who_says_so(written):
+    log = tlog.read(written(b"".join(small_log())))
+    assert autopilot_of(log) == tlog.Autopilot(1, 1, "px4")
 
 
 def test_a_frame_of_unknown_id_is_kept_where_a_record_follows(written):
@@ -170,7 +173,7 @@ def test_short_payloads_read_as_zeros(written):
 
 
 def test_the_autopilots_estimate_is_in_radians_and_on_its_boot_clock(written):
-    reference = tlog_trajectory.reference(tlog.read(written(b"".join(small_log()))))
+    reference = log_source.reference(tlog.read(written(b"".join(small_log()))))
     assert reference.att_t_ns[:2].tolist() == [1_000_000_000, 1_040_000_000]
     assert reference.lat[0] == pytest.approx(np.deg2rad(47.3977), abs=1e-12)
     assert reference.alt[0] == 489.0
@@ -179,7 +182,7 @@ def test_the_autopilots_estimate_is_in_radians_and_on_its_boot_clock(written):
 
 def test_after_a_reboot_the_longest_boot_is_the_reference(written):
     data = b"".join(small_log(n=20, boot_ms=90_000) + small_log(n=40, boot_ms=1_000))
-    reference = tlog_trajectory.reference(tlog.read(written(data)))
+    reference = log_source.reference(tlog.read(written(data)))
     assert reference.att_t_ns[0] == 1_000_000_000
     assert len(reference.att_t_ns) == 20
 
@@ -210,7 +213,7 @@ def test_the_boot_clock_is_unwrapped(written):
         for i in range(40)
     ]
     log = tlog.read(written(b"".join(heartbeats + attitudes)))
-    t_ns = tlog_trajectory.reference(log).att_t_ns
+    t_ns = log_source.reference(log).att_t_ns
     assert len(t_ns) == 40
     assert np.all(np.diff(t_ns) == 20_000_000)
 
@@ -223,7 +226,7 @@ def test_the_simulators_truth_gets_the_stamp_of_the_sample_before_it(flight, nam
     from ekf_companion.analysis import score
 
     log = tlog.read(flight(f"{name}/flight.tlog"))
-    truth = tlog_trajectory.truth(log)
+    truth = log_source.truth(log)
     assert message in truth.name
     found = score.score(truth, read_truth(flight(f"{name}/truth.csv")))
     assert abs(found.lag) <= 0.004 + 1e-4  # good to one inertial period of PX4's
@@ -233,9 +236,9 @@ def test_the_simulators_truth_gets_the_stamp_of_the_sample_before_it(flight, nam
 
 def test_damaged_and_rebooted_telemetry_gives_what_it_has(flight):
     log = tlog.read(flight("tlog-copter-canberra/flight.tlog"))
-    assert log.autopilot == tlog.Autopilot(1, 1, "ardupilot")
+    assert autopilot_of(log) == tlog.Autopilot(1, 1, "ardupilot")
     assert log.damaged > 1000
-    reference = tlog_trajectory.reference(log)
+    reference = log_source.reference(log)
     assert np.all(np.diff(reference.att_t_ns) > 0)
     assert (reference.att_t_ns[-1] - reference.att_t_ns[0]) * 1e-9 > 700.0
 

@@ -89,6 +89,17 @@ def test_an_inertial_group_that_is_not_whole_is_refused(missing):
     assert peer.refused == {"HIGHRES_IMU: accel or gyro not updated": 1}
 
 
+def test_a_sender_that_marks_no_field_as_new_is_taken_at_its_values():
+    """Rule 8: what never is marked cannot be told by its mark."""
+    peer = Peer()
+    assert only(ImuSample, peer.highres(1_000, fields_updated=0, xgyro=0.1))
+    assert peer.highres(2_000, fields_updated=0, xgyro=0.1) == []  # the same again
+    assert only(ImuSample, peer.highres(3_000, fields_updated=0, xgyro=0.2))
+    assert only(ImuSample, peer.highres(4_000, xgyro=0.3))
+    assert peer.highres(5_000, fields_updated=0, xgyro=0.4) == []  # it marks them after all
+    assert len(peer.decoder.notes) == 1
+
+
 def test_another_instance_is_left():
     peer = Peer()
     assert peer.highres(1_000, id=1) == []
@@ -584,6 +595,18 @@ def test_the_fixes_of_a_second_receiver_are_told_from_the_firsts():
     assert fix.flags == GnssFlag.NONE
     assert peer.say("gps2_raw", time_usec=1_400_000, fix_type=1) == []
     assert peer.refused["GPS2_RAW: no 3-D fix"] == 1
+
+
+def test_the_heading_of_a_second_receiver_counts_while_the_first_has_no_fix():
+    peer = with_fix()
+    second = {"fix_type": 6, "lat": 473977640, "lon": 85455780, "yaw": 9000, "hdg_acc": 100_000}
+    peer.gps(1_000_000)
+    peer.say("gps2_raw", time_usec=1_000_000, **second)
+    assert only(HeadingSample, peer.say("gps2_raw", time_usec=1_200_000, **second)) == []
+    peer.gps(1_200_000, fix_type=1)
+    (heading,) = only(HeadingSample, peer.say("gps2_raw", time_usec=1_400_000, **second))
+    assert heading.heading == pytest.approx(math.pi / 2)
+    assert heading.std == pytest.approx(math.radians(1.0))
 
 
 PLACE = {"lat": 473977635, "lon": 85455780, "alt": 489307, "hdg": 65535}

@@ -27,6 +27,7 @@ _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
 REPEATED, OUT_OF_ORDER = "stamp repeated", "out of order"
 """Why a sample is refused for its stamp."""
+_NO_SAMPLE = (0.0,) * 6
 _STARVING = 0.25
 """A finer sensor at less than a quarter of the rate of a coarser one loses more than it gains."""
 
@@ -47,6 +48,9 @@ class Inertial:
         """The sensor in use, as HIGHRES_IMU numbers them."""
         self.instances = Preference(_STARVING)
         self.last_us = -1
+        self._is_marked = False
+        """Whether HIGHRES_IMU has said of a sample that it is new: then it says so of each."""
+        self._unmarked: Sample | None = None
         self.begin_stream()
 
     def begin_stream(self) -> None:
@@ -85,6 +89,10 @@ class Inertial:
         if rank != was:
             self._note_instance(instance, is_better=rank < was)
         sample = (gx, gy, gz, ax, ay, az)
+        if updated & ACCEL_GYRO:
+            self._is_marked = True
+        elif self._is_unmarked(sample):
+            updated = ACCEL_GYRO | MAG | PRESSURE
         if updated & ACCEL_GYRO != ACCEL_GYRO:
             context.refuse("HIGHRES_IMU: accel or gyro not updated")
         elif (
@@ -119,6 +127,19 @@ class Inertial:
             "its range"
         )
         return why != LIMITED
+
+    def _is_unmarked(self, sample: Sample) -> bool:
+        """Whether a sample is new that is not marked so, as its sender never marks one."""
+        if self._is_marked or sample == self._unmarked:
+            return False
+        self._unmarked = sample
+        if sample == _NO_SAMPLE:
+            return False
+        self._context.note_once(
+            "HIGHRES_IMU marks no sample as new (fields_updated): each that differs from the one "
+            "before is taken"
+        )
+        return True
 
     def _note_instance(self, instance: int, *, is_better: bool) -> None:
         """Note that another sensor is used from now on.

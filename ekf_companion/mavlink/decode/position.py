@@ -61,6 +61,7 @@ class _Receiver:
         self.has_fix = False
         """Whether there was one at all."""
         self.velocities = HeldVelocities()
+        self.yaw = HeldHeading()
 
 
 class Position:
@@ -76,7 +77,6 @@ class Position:
         """Of the autopilot's own positions."""
         self._first = _Receiver("GPS_RAW_INT", GnssFlag.NONE)
         self._second = _Receiver("GPS2_RAW", GnssFlag.SECOND)
-        self._yaw = HeldHeading()
         self._unrelated_ns: int | None = None
         self._derived_ns: int | None = None
         """When the autopilot's own position came first."""
@@ -89,32 +89,33 @@ class Position:
         """Read GPS_RAW_INT."""
         m = unpack(frame)
         out = self._read(self._first, m)
-        if out and 0 < m.yaw <= NORTH_CDEG:
-            self._add_yaw(out, m)
-        return out
+        return self._with_heading(self._first, out, m)
 
-    def _add_yaw(self, out: Measurements, m: Any) -> None:
-        """Append the heading of a fix, unless it is the last one again.
-
-        At rest it counts once in a second all the same.
-        """
-        t_ns, heading = out[0].t_ns, wrap(math.radians(m.yaw * 1e-2))
-        is_still = m.vel != _UNKNOWN_16 and m.vel * 1e-2 < _STD_VEL
-        if heading and (why := self._yaw.judge(t_ns, heading, is_still=is_still)) is not None:
-            self._context.refuse(f"GPS_RAW_INT: yaw {why}")
-            return
-        out.append(
-            HeadingSample(
-                t_ns=t_ns,
-                heading=heading,
-                std=_yaw_std(m.hdg_acc),
-                source=HeadingSource.GNSS,
-            )
-        )
 
     def gps2_raw(self, frame: Frame) -> Measurements:
-        """Read GPS2_RAW: a receiver that stands by, for the filter to go to."""
-        return self._read(self._second, unpack(frame))
+        """Read GPS2_RAW: a receiver that stands by, for the filter to go to.
+
+        Its heading is used while the first has no fix.
+        """
+        m = unpack(frame)
+        out = self._read(self._second, m)
+        return out if self._first.is_good else self._with_heading(self._second, out, m)
+
+    def _with_heading(self, receiver: _Receiver, fixes: Measurements, m: Any) -> Measurements:
+        """Return the fix of a message, if there is one, with the heading of its antennas.
+
+        One that is the last again is left out; at rest it counts once in a second all the same.
+        """
+        if not fixes or not 0 < m.yaw <= NORTH_CDEG:
+            return fixes
+        t_ns, heading = fixes[0].t_ns, wrap(math.radians(m.yaw * 1e-2))
+        is_still = m.vel != _UNKNOWN_16 and m.vel * 1e-2 < _STD_VEL
+        if heading and (why := receiver.yaw.judge(t_ns, heading, is_still=is_still)):
+            self._context.refuse(f"{receiver.message}: yaw {why}")
+            return fixes
+        std = _yaw_std(m.hdg_acc)
+        sample = HeadingSample(t_ns=t_ns, heading=heading, std=std, source=HeadingSource.GNSS)
+        return [*fixes, sample]
 
     def _read(self, receiver: _Receiver, m: Any) -> Measurements:
         """Return the new fix of a receiver, if there is one."""
