@@ -17,21 +17,21 @@ import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import receiver_time, series
+from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import OFFSET, Tables, read_tables
+from ekf_companion.logs.dataflash_sensors import INSTANCE
 from ekf_companion.logs.dataflash_tables import (
     NEEDED,
     READ,
     Columns,
-    boot_ns,
     choose,
-    names_of,
     rows_of,
 )
 from ekf_companion.logs.dataflash_text import text_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import CUT, Recording, cut_short
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
-from ekf_companion.logs.stored_rows import Column
+from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.earth import is_place
@@ -89,7 +89,7 @@ def read(path: Path) -> Recording:
     found, notes, others, damage = read_tables(path, READ)
     said = {name for name, table in found.items() if len(table)} | others
     is_cut = not said - (DEFINITIONS if CUT in damage.words else {"FMT"})
-    stored, extent_ns = choose(found, others, notes)
+    stored, extent_ns = choose(found, notes)
     tables = {name: table.all() for name, table in stored.items() if name not in STREAMED}
     turn = _to_vehicle(tables, notes)
 
@@ -104,11 +104,13 @@ def read(path: Path) -> Recording:
 
         return (EventSource(len(table), read),)
 
-    gnss = _gnss(tables)
+    receivers = _by_receiver(tables)
+    gnss = [one for flag, rows in receivers for one in _gnss(rows, flag)]
     sources = sources_of([*gnss, *_vehicle(tables, stored)])
     sources += streamed("IMU", lambda rows: _sensor(rows, "IMU", Kind.IMU))
-    sources += sources_of([*_gnss_heading(tables), *_attitude_heading(tables)])
-    sources += streamed("MAG", _magnetometer)
+    headings = [one for _, rows in receivers for one in _gnss_heading(rows)]
+    sources += sources_of([*headings, *_attitude_heading(tables)])
+    sources += streamed("MAG", _Magnetometer(stored.get("MAG")))
     if _is_submarine(tables):
         notes.append(
             "this is a submarine: its first barometer measures the air within the hull, which is "
@@ -124,8 +126,8 @@ def read(path: Path) -> Recording:
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
             "record with LOG_BITMASK bits IMU, GPS and ATTITUDE set"
         )
-    fixes = gnss[0][0] if gnss else None
-    refused = len(tables.get("GPS", ())) - (len(fixes) if fixes else 0)
+    fixes = max((events for events, _ in gnss), key=len, default=None)
+    refused = len(tables.get("GPS", ())) - sum(len(events) for events, _ in gnss)
     if refused:
         notes.append(f"{refused} GPS rows without a 3-D fix were left out")
     unstamped = tables.get("MSG")
@@ -196,7 +198,26 @@ def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
     return table[index], np.abs(at_ns[index] - t_ns) < 50_000_000  # 50 ms: a quarter of 5 Hz
 
 
-def _gnss(tables: Columns) -> Arrivals:
+def _by_receiver(tables: Columns) -> list[tuple[GnssFlag, Columns]]:
+    """Return the rows of each receiver in use, with the flag that tells it from the first."""
+    table = tables.get("GPS")
+    if table is None or INSTANCE not in names_of(table):
+        return [(GnssFlag.NONE, tables)]
+    _, first = np.unique(table[INSTANCE], return_index=True)
+    used = table[INSTANCE][np.sort(first)].tolist()
+    accuracies = tables.get("GPA")
+    found = []
+    for place, number in enumerate(used):
+        rows = {"GPS": table if len(used) == 1 else table[table[INSTANCE] == number]}
+        if accuracies is not None:
+            is_numbered = INSTANCE in names_of(accuracies)
+            own = accuracies[accuracies[INSTANCE] == number] if is_numbered else accuracies
+            rows["GPA"] = own
+        found.append((GnssFlag.SECOND if place else GnssFlag.NONE, rows))
+    return found
+
+
+def _gnss(tables: Columns, flag: GnssFlag) -> Arrivals:
     if (rows := rows_of(tables, "GPS")) is None:
         return []
     table, t_ns = rows
@@ -223,9 +244,7 @@ def _gnss(tables: Columns) -> Arrivals:
     position = (np.deg2rad(table["Lat"]), so3.wrap(np.deg2rad(table["Lng"])), table["Alt"])
     velocity = (speed * np.cos(course), speed * np.sin(course), down)
     stds = (std_h, std_v, std_vel)
-    events = EventColumns(
-        t_ns, Kind.GNSS, *position, *velocity, *stds, np.nan, float(GnssFlag.NONE)
-    )
+    events = EventColumns(t_ns, Kind.GNSS, *position, *velocity, *stds, np.nan, float(flag))
     return [(events.take(is_fix), table[OFFSET][is_fix])] if is_fix.any() else []
 
 
@@ -264,16 +283,28 @@ def _heading(t_ns: Stamps, table: Column, std: Array, source: HeadingSource) -> 
     return [(events, table[OFFSET])]
 
 
-def _magnetometer(tables: Columns) -> Arrivals:
-    if (rows := rows_of(tables, "MAG")) is None:
-        return []
-    table, t_ns = rows
-    field = np.stack([table[name] for name in NEEDED["MAG"]], axis=1) * 1e-3  # mGauss
-    healthy = np.any(field != 0.0, axis=1)
-    if "Health" in names_of(table):
-        healthy &= table["Health"] != 0
-    events = EventColumns(t_ns, Kind.MAG, *field.T)
-    return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
+class _Magnetometer:
+    """Makes events of MAG rows, with the compass of each: 0 is the one that is used first."""
+
+    def __init__(self, table: StoredRows | None) -> None:
+        is_numbered = table is not None and len(table) and INSTANCE in table.names
+        self._first = int(table.read(0, 1)[INSTANCE][0]) if table and is_numbered else None
+
+    def __call__(self, tables: Columns) -> Arrivals:
+        """Return the events of some rows."""
+        if (rows := rows_of(tables, "MAG")) is None:
+            return []
+        table, t_ns = rows
+        field = np.stack([table[name] for name in NEEDED["MAG"]], axis=1) * 1e-3  # mGauss
+        healthy = np.any(field != 0.0, axis=1)
+        if "Health" in names_of(table):
+            healthy &= table["Health"] != 0
+        compass = np.zeros(len(table))
+        if self._first is not None:
+            number = table[INSTANCE]
+            compass = np.where(number == self._first, 0.0, number + 1.0)
+        events = EventColumns(t_ns, Kind.MAG, *field.T, compass)
+        return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
 
 
 def _vehicle(tables: Columns, stored: Tables) -> Arrivals:

@@ -1,4 +1,4 @@
-"""Selection of a DataFlash log's usable messages: with whole columns, of the first sensor.
+"""Selection of a DataFlash log's usable messages: with whole columns, of the sensors in use.
 
 Both generations are read: stamps in ``TimeMS`` (boot, ms; in GPS rows the GPS time of week, boot
 time being ``T`` there) and in ``TimeUS`` (boot, us); sensors told apart by name (IMU, IMU2) and by
@@ -7,11 +7,12 @@ an instance column (``I``, for the estimators ``C``).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
-from ekf_companion.logs import series
+from ekf_companion.logs import dataflash_instances, dataflash_sensors, series
+from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import Tables
 from ekf_companion.logs.series import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
@@ -39,30 +40,28 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "EV": ("Id",),
     "PARM": ("Value",),
     "MSG": (),
+    **{name: columns[-1:] for name, columns in dataflash_instances.ASKED.items()},
 }
+for _first, *_more in (one.messages for one in dataflash_sensors.FAMILIES.values()):
+    NEEDED |= dict.fromkeys(_more, NEEDED[_first])
+NEEDED["GPA2"] = NEEDED["GPA"]
 """The messages that are used, and the columns that each needs."""
+_IMU = ("TimeUS", "TimeMS", "I", "GH", "AH", *NEEDED["IMU"])
 READ: dict[str, tuple[str, ...] | None] = {
     **dict.fromkeys(NEEDED),
-    "IMU": ("TimeUS", "TimeMS", "I", *NEEDED["IMU"]),
+    **dict.fromkeys(dataflash_sensors.FAMILIES["IMU"].messages, _IMU),
+    **dataflash_instances.ASKED,
 }
 """The columns that are read of each message; None: all. Of inertial samples there are millions."""
 
 
-def choose(tables: Tables, others: Collection[str], notes: list[str]) -> tuple[Tables, Extent]:
-    """Keep the usable messages of the first sensor, on one clock run; note what is left out.
+def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
+    """Keep the usable messages of the sensors in use, on one clock run; note what is left out.
 
     Also return from when to when the log's sensors spoke, of which samples may be a part.
-
-    ``others`` are the names of messages that the log holds besides the tables.
     """
-    more = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in others]
-    if more:
-        notes.append(f"only the first sensor of each kind is used, not {', '.join(more)}")
-    tables = {
-        name: _first_instance(name, table, notes)
-        for name, table in tables.items()
-        if name in NEEDED and _is_usable(table, NEEDED[name])
-    }
+    usable = {name: t for name, t in tables.items() if _is_usable(t, NEEDED[name]) and len(t)}
+    tables = dataflash_instances.choose(usable, notes)
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
     stamps = {
         name: stamps_of(table)
@@ -101,23 +100,6 @@ def stamps_of(table: StoredRows) -> Iterator[Stamps]:
             yield t_ns
 
 
-def names_of(table: Column) -> tuple[str, ...]:
-    """Return the names of a table's columns."""
-    return table.dtype.names or ()
-
-
-def boot_ns(table: Column) -> Stamps | None:
-    """Return the boot time of each row, ns, or None if the rows carry none."""
-    names = names_of(table)
-    if "TimeUS" in names:
-        return series.nanoseconds(table["TimeUS"])
-    for column in ("T", "TimeMS"):
-        # GPS rows of the old layout: TimeMS is the GPS time of week, T the boot time.
-        if column in names and table[column].dtype.kind in "iu":
-            return np.asarray(table[column], dtype=np.int64) * 1_000_000
-    return None
-
-
 def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
     """Return a message's rows with finite numbers, and their stamps; None if there is no row."""
     table = tables.get(name)
@@ -136,19 +118,3 @@ def _is_usable(table: StoredRows, needed: tuple[str, ...]) -> bool:
     """Return whether the columns exist and hold numbers: a damaged FMT may make them text."""
     kinds = {name: table.dtype[name].kind for name in table.names}
     return all(kinds.get(name, "") in ("i", "u", "f") for name in needed)
-
-
-def _first_instance(name: str, table: StoredRows, notes: list[str]) -> StoredRows:
-    """Keep the rows of the lowest instance, and note the others."""
-    numbers = [column for column in ("I", "C") if column in table.names]
-    # Only an estimator's C is its core
-    numbers = [column for column in numbers if table.dtype[column] == np.uint8]
-    if not numbers:
-        return table
-    column = numbers[0]
-    parts = [np.unique(rows[column]) for _, rows in table.parts()]
-    used, *others = np.unique(np.concatenate(parts))
-    if others and name in ("IMU", "GPS", "MAG", "BARO", "XKF1", "NKF1"):
-        words = ", ".join(map(str, others))
-        notes.append(f"{name}: instance {used} is used; the log also holds {words}")
-    return table.kept(lambda _, rows: np.asarray(rows[column] == used)) if others else table

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_companion.logs.dataflash_tables import Columns, boot_ns, names_of
+from ekf_companion.logs.dataflash_columns import boot_ns, names_of
+from ekf_companion.logs.dataflash_tables import Columns
 from ekf_companion.logs.onboard import MOST, Message, Onboard, clean, onboard
 from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav.arrays import Stamps

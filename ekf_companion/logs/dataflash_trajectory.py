@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_tables import Columns, names_of, rows_of
+from ekf_companion.logs.dataflash_columns import names_of
+from ekf_companion.logs.dataflash_tables import Columns, rows_of
 from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps

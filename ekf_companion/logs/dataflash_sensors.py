@@ -1,0 +1,146 @@
+"""The sensors of each kind in a DataFlash log, and when each of them measures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_companion.logs.dataflash_columns import boot_ns, names_of
+from ekf_companion.logs.dataflash_records import Tables
+from ekf_companion.logs.instances import Good
+from ekf_companion.logs.series import FIX_3D
+from ekf_companion.logs.stored_rows import Column, StoredRows
+from ekf_companion.nav.arrays import Mask
+from ekf_companion.nav.earth import is_place
+
+SECOND_NS = 1_000_000_000
+INSTANCE = "I"
+"""Column of the number of a sensor."""
+
+
+class Family(NamedTuple):
+    """The messages of one kind of sensor."""
+
+    messages: tuple[str, ...]
+    """Of the first, the second, the third sensor where they are told apart by name."""
+    patience_ns: int
+    """A shorter time without a good row is no reason for another sensor."""
+    lack: str
+    """What one that is left has not."""
+
+
+FAMILIES = {
+    "IMU": Family(("IMU", "IMU2", "IMU3"), SECOND_NS // 5, "has no good sample there"),
+    "GPS": Family(("GPS", "GPS2"), 2 * SECOND_NS, "has no fix there"),
+    "MAG": Family(("MAG", "MAG2", "MAG3"), 3 * SECOND_NS, "has no good field there"),
+    "BARO": Family(("BARO", "BAR2", "BAR3"), 3 * SECOND_NS, "has no good pressure there"),
+}
+"""By the message that all rows used are put in."""
+FOLLOWERS = {"GPA": ("GPA", "GPA2")}
+"""Messages that belong to a receiver's."""
+ALIGNED = {
+    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+    "MAG": ("MagX", "MagY", "MagZ"),
+    "BARO": ("Alt",),
+}
+"""Columns that go on from those of the sensor before: a bias, a field of the vehicle's own, and the
+zero of a height are others with each sensor."""
+
+
+class Sensor(NamedTuple):
+    """The rows of one sensor."""
+
+    number: int
+    message: str
+    table: StoredRows
+    is_named: bool
+    """Whether the message is its own."""
+
+    def rows_of(self, rows: Column) -> Mask:
+        """Return which rows of the message are its own."""
+        if self.is_named:
+            return np.ones(len(rows), dtype=bool)
+        return np.asarray(rows[INSTANCE] == self.number)
+
+
+def sensors_of(tables: Tables, messages: Sequence[str]) -> Iterator[Sensor]:
+    """Yield the sensors of a kind, in the order of their numbers."""
+    for number, message in enumerate(messages):
+        if (table := tables.get(message)) is None:
+            continue
+        if not is_numbered(table):
+            yield Sensor(number, message, table, is_named=True)
+            continue
+        parts = [np.unique(rows[INSTANCE]) for _, rows in table.parts()]
+        for each in np.unique(np.concatenate(parts)).tolist() if parts else ():
+            yield Sensor(each, message, table, is_named=False)
+
+
+def is_numbered(table: StoredRows) -> bool:
+    """Return whether the rows say of which sensor each is."""
+    return INSTANCE in table.names and table.dtype[INSTANCE] == np.uint8
+
+
+def good_of(name: str, sensors: Sequence[Sensor], family: Family) -> dict[int, Good]:
+    """Return when each sensor measures."""
+    found: dict[int, Good] = {}
+    for one in sensors:
+        good = found[one.number] = Good(family.patience_ns)
+        before: Column | None = None
+        for _, rows in one.table.parts():
+            rows = rows[one.rows_of(rows)]
+            t_ns = boot_ns(rows)
+            if t_ns is not None and len(rows):
+                good.add(t_ns, IS_GOOD[name](rows, before))
+                before = rows[-1:]
+        good.finish()
+    return found
+
+
+def _is_sample(rows: Column, before: Column | None) -> Mask:
+    """Return which inertial samples are known, healthy, and not those before them again."""
+    axes = ALIGNED["IMU"]
+    values = np.stack([rows[axis] for axis in axes], axis=1)
+    good = np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)
+    last = values[:1] * np.nan if before is None else np.stack([before[axis] for axis in axes], 1)
+    good &= (np.diff(values, axis=0, prepend=last) != 0.0).any(axis=1)
+    return np.asarray(good & _has(rows, "GH") & _has(rows, "AH"))
+
+
+def _is_fix(rows: Column, before: Column | None) -> Mask:
+    """Return which rows hold a new fix."""
+    good = (rows["Status"] >= FIX_3D) & np.asarray(is_place(rows["Lat"], rows["Lng"]))
+    if "GMS" in names_of(rows):
+        times = rows["GMS"].astype(np.int64)
+        last = times[:1] - 1 if before is None else before["GMS"].astype(np.int64)
+        good &= np.diff(times, prepend=last) != 0
+    return np.asarray(good)
+
+
+def _is_field(rows: Column, before: Column | None) -> Mask:
+    values = np.stack([rows[axis] for axis in ALIGNED["MAG"]], axis=1)
+    good = np.isfinite(values).all(axis=1) & (values != 0).any(axis=1)
+    return np.asarray(good & _has(rows, "Health"))
+
+
+def _is_pressure(rows: Column, before: Column | None) -> Mask:
+    good = np.isfinite(rows["Alt"])
+    if "Press" in names_of(rows):
+        good &= rows["Press"] > 0.0
+    return np.asarray(good & _has(rows, "H") & _has(rows, "Health"))
+
+
+def _has(rows: Column, flag: str) -> Mask:
+    """Return where a flag is set; everywhere if there is none."""
+    names = names_of(rows)
+    return np.asarray(rows[flag] != 0) if flag in names else np.ones(len(rows), dtype=bool)
+
+
+IS_GOOD: dict[str, Callable[[Column, Column | None], Mask]] = {
+    "IMU": _is_sample,
+    "GPS": _is_fix,
+    "MAG": _is_field,
+    "BARO": _is_pressure,
+}
