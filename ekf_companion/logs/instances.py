@@ -86,11 +86,14 @@ class Stretch(NamedTuple):
 def choose(good: Mapping[Key, Good], wanted: Wanted = ()) -> list[Stretch]:
     """Return which sensor is used from when on; of those that are good alike, the first given."""
     spans = {key: _lasting(key, good) for key in good}
-    firsts = [some[0][0] for some in spans.values() if some]
+    first = min((some[0][0] for some in spans.values() if some), default=0)
+    last = max((some[-1][1] for some in spans.values() if some), default=0)
     for key, some in spans.items():
-        # Who begins a little later than the first begins with it
-        if some and some[0][0] - min(firsts) <= good[key].patience_ns:
-            some[0] = (min(firsts), some[0][1])
+        # Who begins a little later than the first begins with it, and so at the end
+        if some and some[0][0] - first <= good[key].patience_ns:
+            some[0] = (first, some[0][1])
+        if some and last - some[-1][1] <= good[key].patience_ns:
+            some[-1] = (some[-1][0], last)
     starts = {key: [low for low, _ in some] for key, some in spans.items()}
     times = {t_ns for t_ns, _ in wanted}
     for some in spans.values():

@@ -3,8 +3,8 @@
 Both generations of names are read: position as
 ``lat, lon`` (1e-7 deg), ``alt`` (mm) and as ``latitude_deg, longitude_deg, altitude_msl_m``.
 Logs of PX4 before 1.8 hold magnetometer and barometer within ``sensor_combined``.
-The first instance of each topic is used. Rows count as arrived in the order in which they were
-published (``timestamp``).
+Of several sensors the one in use is read, of other topics the first instance. Rows count as arrived
+in the order in which they were published (``timestamp``).
 
 Source: PX4-Autopilot msg/*.msg (fields, units, states), src/lib/geo/geo.cpp (projection).
 """
@@ -29,6 +29,7 @@ from ekf_companion.logs.recording import (
     cut_short,
 )
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
+from ekf_companion.logs.ulog_instances import PLACE
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.logs.ulog_topics import (
     Stored,
@@ -264,7 +265,8 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
         std_v,
         np.where(has_vel, std_vel, np.nan),
         np.nan,
-        np.where(suspect, float(GnssFlag.SUSPECT), float(GnssFlag.NONE)),
+        np.where(suspect, float(GnssFlag.SUSPECT), float(GnssFlag.NONE))
+        + np.where(topic.get(PLACE, unknown) > 0, float(GnssFlag.SECOND), 0.0),
     )
 
 
@@ -293,7 +295,9 @@ def _magnetometer(topic: Topic) -> Arrivals:
     is_array = "magnetometer_ga[0]" in topic
     field = vectors(topic, "magnetometer_ga") if is_array else series.stack(topic, *"xyz")
     valid = known_rows(field) & (field != 0.0).any(axis=1)
-    return _events(topic, Kind.MAG, valid, *field.T)
+    if PLACE not in topic:
+        return _events(topic, Kind.MAG, valid, *field.T)
+    return _events(topic, Kind.MAG, valid, *field.T, topic[PLACE].astype(float))
 
 
 def _barometer(topic: Topic) -> Arrivals:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.logs import series, ulog_messages
+from ekf_companion.logs import series, ulog_instances, ulog_messages
 from ekf_companion.logs.series import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.logs.ulog_messages import Messages
@@ -31,6 +31,8 @@ _TOPICS: dict[str, tuple[str, ...]] = {
     "sensor_combined": tuple(
         f"{field}[{axis}]" for field in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)
     ),
+    "vehicle_imu": ulog_instances.INTEGRATED,
+    ulog_instances.SELECTED: (),
     "vehicle_gps_position": _RECEIVER,
     "sensor_gps": _RECEIVER,
     "vehicle_magnetometer": tuple(f"magnetometer_ga[{axis}]" for axis in range(3)),
@@ -79,16 +81,23 @@ def load(path: Path) -> Messages:
 
 
 def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
-    """Return each topic's first instance that has the fields needed, on one clock run.
+    """Return each topic's rows that have the fields needed, on one clock run.
 
-    Also return from when to when the log's sensors spoke, of which samples may be a part.
-
-    Rows whose stamps are damaged, or of another boot, are dropped.
+    They are those of the sensors in use, and else of the first instance. Rows whose stamps are
+    damaged, or of another boot, are dropped. Also return from when to when the log's sensors
+    spoke, of which samples may be a part.
     """
+    usable = [
+        table
+        for table in sorted(log.tables, key=lambda table: (table.instance, -len(table.rows)))
+        if {"timestamp", *_TOPICS[table.topic]} <= {*table.rows.names}
+    ]
     found: Stored = {}
-    for table in sorted(log.tables, key=lambda table: (table.instance, -len(table.rows))):
-        if {"timestamp", *_TOPICS[table.topic]} <= {*table.rows.names}:
-            found.setdefault(table.topic, table.rows)
+    for table in usable:
+        found.setdefault(table.topic, table.rows)
+    found |= ulog_instances.choose(log, usable, notes)
+    for name in ulog_instances.ASKED:
+        found.pop(name, None)
     stamps = {name: stamps_of(rows) for name, rows in found.items()}
     runs = series.common_run(stamps, "sensor_combined")
     kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}
