@@ -34,6 +34,7 @@ _REFUSED = {
     Verdict.GATED: "refused by gates, per second",
     Verdict.SUSPECT: "not used as the receiver doubts itself, per second",
     Verdict.DISTURBED: "not used as the magnetic field is disturbed, per second",
+    Verdict.DENIED: "within their gates and contradicted by other evidence, per second",
 }
 """Titles of the charts of what was refused, by why."""
 _BANDS: dict[Status | None, str] = {

@@ -30,8 +30,7 @@ from cython.cimports.ekf_companion.core.scratch import Observation
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import atan2, fabs, sqrt
 
-NOT_POSITIVE = cython.declare(cython.double, 1e30)
-"""NIS where the innovation covariance is not positive definite: no gate passes it."""
+NAN = cython.declare(cython.double, float("nan"))
 LEAST_VARIANCE = cython.declare(cython.double, 1e-16)
 
 
@@ -39,7 +38,7 @@ def innovate(x: State, o: Observation) -> float:
     """Return the normalised innovation squared; chi-square of ``o.rows`` degrees if all is well.
 
     Reads H, z and R; leaves P H', the Cholesky factor of S and the whitened innovation in ``o``.
-    An S that is not positive definite gives 1e30.
+    An S that is not positive definite gives NaN, which is within no gate.
     """
     nis = 0.0
 
@@ -63,7 +62,7 @@ def innovate(x: State, o: Observation) -> float:
                 s -= o.L[r][j] * o.L[c][j]
             if r == c:
                 if not s > 0.0:
-                    return NOT_POSITIVE
+                    return NAN
                 o.L[r][r] = sqrt(s)
             else:
                 o.L[r][c] = s / o.L[c][c]

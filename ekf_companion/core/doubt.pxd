@@ -8,7 +8,9 @@ cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept no
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
 cdef bint is_clipping(State *x) noexcept nogil
 cdef double is_at_end(State *x, Py_ssize_t axis, double size, double change) noexcept nogil
-cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil
+cdef void learn_doubt(
+    State *x, Parameters *k, Fix *fix, Observation *o, double nis, bint is_denied
+) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
 cdef void remember_doubt(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil

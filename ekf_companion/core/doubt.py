@@ -236,10 +236,12 @@ def is_at_end(x: State, axis: int, size: float, change: float) -> float:
     return 1.0 if is_same else 0.0
 
 
-def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -> None:
+def learn_doubt(
+    x: State, k: Parameters, fix: Fix, o: Observation, nis: float, is_denied: bool
+) -> None:
     """Learn from the innovation of the receiver's velocity, just judged."""
     correlation = 0.0
-    smallness = nis / o.rows - 1.0
+    smallness = 0.0 if is_denied else nis / o.rows - 1.0
     excess = 0.0
     size = 0.0
     for r in range(o.rows):
@@ -257,7 +259,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
         x.last_innovation[2] = 0.0
     x.correlation = 0.0
     has_last = cython.declare(cython.bint, is_next(x))
-    seen = nis / o.rows if nis < o.rows else 1.0
+    seen = nis / o.rows if nis < o.rows and not is_denied else 1.0
     x.innovation_power += (seen - x.innovation_power) / POWER_MEMORY
     if x.innovation_power < LEAST_POWER:
         x.innovation_power = LEAST_POWER
@@ -269,11 +271,11 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
         x.correlation = correlation / (sqrt(o.rows) * (power if power < 1.0 else 1.0))
         x.worst_doubt *= exp((x.innovation_t - x.t) / MEMORY)
     x.innovation_t = x.t
-    if nis > k.gate[o.rows - 1]:
+    if is_denied or not nis <= k.gate[o.rows - 1]:
         if x.run[AID_VELOCITY].n == 0.0:
             ratio = nis / k.gate[o.rows - 1]
             is_led_up_to = cython.declare(
-                cython.bint, has_last and ratio < SUDDEN and x.t - x.gap_t > OLD
+                cython.bint, has_last and not is_denied and ratio < SUDDEN and x.t - x.gap_t > OLD
             )
             x.is_gradual = 1.0 if is_led_up_to and correlation > 0.5 * size else 0.0
         if x.is_gradual == 0.0:  # who is wrong is not known yet

@@ -36,6 +36,9 @@ class Verdict(IntEnum):
     """The receiver itself reports jamming or spoofing."""
     DISTURBED = 6
     """A magnetic field that is not the Earth's."""
+    DENIED = 7
+    """Within its gate, and contradicted by other evidence: the receiver's own motion, the specific
+    force, or the mean of its last innovations."""
 
 
 class Arrival(IntEnum):
@@ -191,6 +194,9 @@ N = 27
 
 AIDS = len(Aid)
 VERDICTS = len(Verdict)
+HEADINGS = 3
+"""Kinds of sensor of a heading: two antennas, another estimate, a compass; an :class:`Azimuth` less
+one, both of the magnetic field as one."""
 RUNS = 3
 """Aids whose refused innovations are tested for consistency: position, height, velocity."""
 PAST = 15

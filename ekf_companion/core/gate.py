@@ -22,6 +22,8 @@ from cython.cimports.ekf_companion.core.correct import (
 )
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
+    AZIMUTH_MAGNETIC,
+    VERDICT_DENIED,
     VERDICT_DEWEIGHTED,
     VERDICT_FUSED,
     VERDICT_GATED,
@@ -29,7 +31,7 @@ from cython.cimports.ekf_companion.core.enums import (
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.scratch import Observation
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.libc.math import fabs, log, sqrt
+from cython.cimports.libc.math import fabs, isnan, log, sqrt
 
 LONGEST_RUN = cython.declare(cython.double, 40.0)
 """Duration after which a run that failed the test begins anew, s; beyond the longest patience."""
@@ -47,6 +49,23 @@ SIGMAS = cython.declare(cython.double, 3.0)
 def count_verdict(x: State, aid: int, verdict: int) -> None:
     """Count the verdict on one measurement."""
     x.count[aid][verdict] += 1.0
+
+
+def count_heading(x: State, verdict: int, azimuth: float) -> None:
+    """Count the verdict on a heading, by its kind of sensor as well."""
+    if azimuth >= AZIMUTH_MAGNETIC:
+        azimuth = AZIMUTH_MAGNETIC
+    sensor = cython.cast(cython.Py_ssize_t, azimuth - 1.0)
+    x.heading_count[sensor][verdict] += 1.0
+    x.count[AID_HEADING][verdict] += 1.0
+
+
+def count_judged(x: State, aid: int, verdict: int) -> None:
+    """Count the verdict on an observation that was judged; a heading is of the azimuth in use."""
+    if aid == AID_HEADING:
+        count_heading(x, verdict, x.azimuth)
+    else:
+        count_verdict(x, aid, verdict)
 
 
 def is_timed_out(x: State, aid: int, limit: float) -> bool:
@@ -74,18 +93,34 @@ def is_running(x: State, aid: int) -> bool:
 
 def fuse(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     """Fuse an observation if it passes the gate, and keep the account; return whether it did."""
-    return fuse_judged(x, k, o, aid, innovate(x, o))
+    return fuse_judged(x, k, o, aid, innovate(x, o), False)
 
 
-def fuse_judged(x: State, k: Parameters, o: Observation, aid: int, nis: float) -> bool:
-    """Fuse an observation that has been judged, in full or in part, or refuse it."""
+def fuse_judged(
+    x: State, k: Parameters, o: Observation, aid: int, nis: float, is_denied: bool
+) -> bool:
+    """Fuse an observation that has been judged, in full or in part, or refuse it.
+
+    Args:
+        x: The state.
+        k: The parameters.
+        o: The observation, as :func:`~.correct.innovate` leaves it.
+        aid: Which aid it is of.
+        nis: Its normalised innovation squared; NaN: there is no covariance to judge it by.
+        is_denied: Other evidence says that it is wrong, whatever its NIS is.
+
+    Returns:
+        Whether it was fused.
+    """
     hard = k.gate[o.rows - 1]
     soft = k.soft_gate[o.rows - 1]
     x.ratio[aid] = nis / hard
-    x.nis_sum[aid] += (nis if nis < hard else hard) / o.rows
+    x.is_denied[aid] = 1.0 if is_denied else 0.0
+    if not isnan(nis):
+        x.nis_sum[aid] += (nis if nis < hard else hard) / o.rows
     x.nis_n[aid] += 1.0
-    if nis > hard:
-        count_verdict(x, aid, VERDICT_GATED)
+    if is_denied or not nis <= hard:
+        count_judged(x, aid, VERDICT_DENIED if nis <= hard else VERDICT_GATED)
         if x.refused_t[aid] <= x.used_t[aid]:
             x.refused_t[aid] = x.t
         if aid < AID_HEADING:
@@ -93,9 +128,9 @@ def fuse_judged(x: State, k: Parameters, o: Observation, aid: int, nis: float) -
         return False
     if nis > soft:
         inflate_noise(o, nis / soft)
-        count_verdict(x, aid, VERDICT_DEWEIGHTED)
+        count_judged(x, aid, VERDICT_DEWEIGHTED)
     else:
-        count_verdict(x, aid, VERDICT_FUSED)
+        count_judged(x, aid, VERDICT_FUSED)
     if aid == AID_HEADING:
         apply_yaw_update(x, o)
     else:
@@ -128,10 +163,12 @@ def follow_share(share: float, seen: float, noise: float, own: float, memory: fl
 def score(x: State, o: Observation, nis: float, gate: float) -> None:
     """Add a judged observation to the log-likelihood; an outlier counts as its gate.
 
+    A NIS of NaN, where there is no covariance to judge by, counts nothing.
+
     Nothing in the filter reads the sum: it compares settings over the same log.
     """
     cost = nis if nis < gate else gate
-    if nis >= 1e30:  # no covariance to judge by
+    if isnan(nis):
         return
     for r in range(o.rows):
         cost += 2.0 * log(o.L[r][r])

@@ -91,7 +91,6 @@ MEAN_SIGMAS = cython.declare(cython.double, 5.5)
 """The same in sigmas of the mean itself; both must be exceeded."""
 SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
 """Way in sigmas of a fix that would have shown in the positions."""
-DRAGGED_NIS = cython.declare(cython.double, 1e29)
 REPEATS = cython.declare(cython.double, 2.0)
 """Repeats of one position after which a moving receiver counts as frozen."""
 JERK = cython.declare(cython.double, 0.25)
@@ -192,6 +191,8 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
         if nis < DOUBTED_NIS * x.doubt and z > FAR_WORSE * x.yaw_bank.vel_var:
             # much doubt is a contradiction, however small its NIS, where the bank has none
             nis = DOUBTED_NIS * x.doubt
+        if x.is_denied[AID_VELOCITY] != 0.0:
+            nis = NAN
         if yaw_reset.is_needed(x, nis, x.fix_dt, sqrt(fix.stated_var[2])):
             gate.begin_reset(x, RESET_MOTION)
             start_from_yaw_bank(x, k, w)
@@ -334,20 +335,19 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     fix = address(w.fix)
     nis = innovate(x, o)
     hard = k.gate[o.rows - 1]
-    if x.is_force_denied != 0.0:
-        nis = DRAGGED_NIS
+    is_denied = cython.declare(cython.bint, x.is_force_denied != 0.0)
     if aid == AID_VELOCITY and gate.is_running(x, aid) and is_denied_by_position(x, fix, o):
-        nis = DRAGGED_NIS
+        is_denied = True
     if aid != AID_VELOCITY and is_dragged(x, o, fix, aid):
-        nis = DRAGGED_NIS
+        is_denied = True
         if x.refused_t[aid] <= x.used_t[aid]:
             forget_vel_offset(x)
-    if nis <= hard or aid == AID_VELOCITY:
+    if aid == AID_VELOCITY or (nis <= hard and not is_denied):
         learn_white_share(x, o, aid, fix.stated_var[aid])
     if aid == AID_VELOCITY:
-        doubt.learn_doubt(x, k, fix, o, nis)
-    gate.score(x, o, nis, hard)
-    return gate.fuse_judged(x, k, o, aid, nis)
+        doubt.learn_doubt(x, k, fix, o, nis, is_denied)
+    gate.score(x, o, hard if is_denied and nis < hard else nis, hard)
+    return gate.fuse_judged(x, k, o, aid, nis, is_denied)
 
 
 def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> None:

@@ -35,7 +35,7 @@ from cython.cimports.ekf_companion.core.enums import (
 )
 from cython.cimports.ekf_companion.core.gate import (
     begin_reset,
-    count_verdict,
+    count_heading,
     follow_share,
     fuse_judged,
     is_timed_out,
@@ -173,14 +173,14 @@ def fuse_heading(x: State, k: Parameters, o: Observation, r: Reference, values: 
 def fuse_field(x: State, k: Parameters, o: Observation, r: Reference, mag_b: Vector) -> None:
     """Fuse the magnetic field: it points to the declination, as far as that is known."""
     if not is_natural(x, k, o, mag_b):
-        count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
+        count_heading(x, VERDICT_DISTURBED, AZIMUTH_MAGNETIC)
         x.natural_fields = 0.0
         leap.note_disturbed(x)
         return
     # by chance one of many disturbed fields looks like the Earth's
     x.natural_fields += 1.0
     if x.natural_fields < CONVINCING and x.count[AID_HEADING][VERDICT_DISTURBED] > 0.0:
-        count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
+        count_heading(x, VERDICT_DISTURBED, AZIMUTH_MAGNETIC)
         leap.note_disturbed(x)
         return
     x.mag_t = x.t
@@ -209,7 +209,7 @@ def fuse_azimuth(
         x.heading_std = slow
         x.azimuth = source
         keep_reference(x, r)
-        count_verdict(x, AID_HEADING, VERDICT_BEFORE_ALIGNMENT)
+        count_heading(x, VERDICT_BEFORE_ALIGNMENT, source)
         return
     slow = yaw_reset.slow_error(x, slow)
     x.heading_std = slow
@@ -220,16 +220,16 @@ def fuse_azimuth(
         reset_variance(x, E_HEADING, 1, slow * slow)
         leap.forget(x)
     if not observe.azimuth(x, o, r):
-        count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
+        count_heading(x, VERDICT_SUPERSEDED, source)
         return
     learns = cython.declare(cython.bint, r.noise > 0.0 and k.learn_noise != 0.0)
     nis = innovate_field(x, o) if learns else innovate(x, o)
     if x.has_yaw == 0.0:
         reset_yaw(x, o)
-        count_verdict(x, AID_HEADING, VERDICT_FUSED)
+        count_heading(x, VERDICT_FUSED, source)
         return
     z = o.z[0]
-    if fuse_judged(x, k, o, AID_HEADING, nis):
+    if fuse_judged(x, k, o, AID_HEADING, nis, False):
         if r.has_iron != 0.0:
             leap.keep(x, z)
         return

@@ -32,11 +32,13 @@ from cython.cimports.ekf_companion.core import (
 from cython.cimports.ekf_companion.core.correct import copy_nominal
 from cython.cimports.ekf_companion.core.delay import forget_gain, learn_delay, take_told
 from cython.cimports.ekf_companion.core.enums import (
-    AID_HEADING,
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
     AIDS,
+    AZIMUTH_ANTENNA,
+    AZIMUTH_MAGNETIC,
+    AZIMUTH_OTHER,
     E_ATT,
     E_POS,
     E_VEL,
@@ -410,7 +412,8 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         if heading.is_heading_used(x, k, source):
             heading.fuse_heading(x, k, o, r, address(v.heading))
         else:
-            gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
+            azimuth = AZIMUTH_ANTENNA if source == 0 else AZIMUTH_OTHER
+            gate.count_heading(x, VERDICT_SUPERSEDED, azimuth)
     elif event.kind == KIND_MAG:
         add_field(x, v.mag.mag_b)
         heading.use_compass(x, k, v.mag.compass)
@@ -419,7 +422,7 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
             if x.natural_fields == 0.0:
                 forget_field(x)
         else:
-            gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
+            gate.count_heading(x, VERDICT_SUPERSEDED, AZIMUTH_MAGNETIC)
     elif event.kind == KIND_BARO:
         baro.fuse_baro(x, k, w, v.baro_alt)
     elif event.kind == KIND_VEHICLE:

@@ -10,7 +10,7 @@ Flags are 0 or 1. What is not known is NaN.
 from typing import Annotated
 
 from ekf_companion.core.declare import Real, Structs, Vector, doubles, struct
-from ekf_companion.core.enums import AIDS, PAST, RUNS, VERDICTS, YAW_FILTERS, YAW_N, N
+from ekf_companion.core.enums import AIDS, HEADINGS, PAST, RUNS, VERDICTS, YAW_FILTERS, YAW_N, N
 
 
 @struct
@@ -581,12 +581,16 @@ class State:
     refused_t: Annotated[Vector, AIDS]
     """Since when each has been refused, ns."""
     ratio: Annotated[Vector, AIDS]
-    """Last NIS of each aid over its gate."""
+    """Last NIS of each aid over its gate; NaN: there was no covariance to judge by."""
+    is_denied: Annotated[Vector, AIDS]
+    """Other evidence said that it was wrong, whatever its ratio is."""
     nis_sum: Annotated[Vector, AIDS]
     """Of NIS per degree of freedom, each at most its gate."""
     nis_n: Annotated[Vector, AIDS]
     count: Annotated[Vector, AIDS, VERDICTS]
     """What became of how many."""
+    heading_count: Annotated[Vector, HEADINGS, VERDICTS]
+    """The same of the headings, by kind of sensor."""
     azimuth: Real
     """:class:`Azimuth` in use; 0: none."""
     heading_std: Real

@@ -71,7 +71,8 @@ def is_needed(x: State, nis: float, dt: float, std: float) -> bool:
 
     Args:
         x: The state.
-        nis: Normalised innovation squared of the velocity, per degree of freedom.
+        nis: Normalised innovation squared of the velocity, per degree of freedom; NaN: whatever
+            it is, other evidence denies the velocity, which counts as the largest.
         dt: Since the fix before, s.
         std: What the receiver states for its velocity, m/s.
     """

@@ -102,7 +102,8 @@ def _status(health: Health) -> Problem | None:
 
 def _aids(health: Health) -> Iterator[Problem]:
     for aid, (label, cure) in _AIDS.items():
-        gated, fused = health.verdicts[aid][Verdict.GATED], health.fused(aid)
+        gated = health.verdicts[aid][Verdict.GATED] + health.verdicts[aid].get(Verdict.DENIED, 0)
+        fused = health.fused(aid)
         share, nis = gated / max(gated + fused, 1), health.nis[aid]
         if gated > 5 and share > _MANY:
             yield warning(f"{share:.0%} of the {label} measurements contradict the estimate.", cure)

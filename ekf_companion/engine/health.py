@@ -23,9 +23,11 @@ RESET_REASONS = (
     "new origin",
 )
 
-REFUSALS = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
-"""Why an aid's measurement is not fused: by a gate, as the receiver doubts itself, or as the
-magnetic field is not the Earth's."""
+HEADING_SENSORS = ("antennas", "other", "compass")
+"""Kinds of sensor of a heading: two antennas, another estimate (as the autopilot's), a compass."""
+REFUSALS = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED, Verdict.DENIED)
+"""Why an aid's measurement is not fused: by a gate, as the receiver doubts itself, as the magnetic
+field is not the Earth's, or as other evidence contradicts it."""
 DECIMATED = 80.0
 """Inertial samples below this rate miss what a multicopter does, Hz."""
 
@@ -43,7 +45,8 @@ class Health:
     samples: int
     gaps: int
     ratios: Mapping[Aid, float]
-    """Last normalised innovation squared of each aid over its gate: above 1 it was refused."""
+    """Last normalised innovation squared of each aid over its gate: above 1 it was refused; NaN:
+    there was no covariance to judge it by."""
     verdicts: Mapping[Aid, Mapping[Verdict, int]]
     arrivals: Mapping[Kind, Mapping[Arrival, int]]
     reruns: int
@@ -80,6 +83,18 @@ class Health:
     """Whose magnetic field is used: 0 the first compass's."""
     reasons: Mapping[Reason, str] = field(default_factory=dict)
     """Why the status is worse than OK, in words; the foremost first."""
+    denied: Mapping[Aid, bool] = field(default_factory=dict)
+    """Whether the last of each aid was refused on other evidence, whatever its ratio is."""
+    headings: Mapping[str, Mapping[Verdict, int]] = field(default_factory=dict)
+    """The verdicts on headings by :data:`HEADING_SENSORS`."""
+
+    @property
+    def is_receiver_refused(self) -> bool:
+        """Whether the last position or velocity of the receiver was refused, and why ever."""
+        return any(
+            self.ratios[aid] > 1.0 or self.denied.get(aid, False)
+            for aid in (Aid.POSITION, Aid.VELOCITY)
+        )
 
     def fused(self, aid: Aid) -> int:
         """Return how many measurements of an aid were fused, with full or with less weight."""

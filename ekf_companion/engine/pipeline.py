@@ -17,7 +17,14 @@ from ekf_companion.core.state import BLOCK
 from ekf_companion.core.state import State as FilterState
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
 from ekf_companion.engine.checkpoint import Origin, State, settings_fingerprint
-from ekf_companion.engine.health import RESET_REASONS, Aid, Arrival, Health, Verdict
+from ekf_companion.engine.health import (
+    HEADING_SENSORS,
+    RESET_REASONS,
+    Aid,
+    Arrival,
+    Health,
+    Verdict,
+)
 from ekf_companion.engine.reasons import in_words
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
@@ -175,7 +182,7 @@ class Pipeline:
         return Estimate(self, self.stamp_ns)
 
     def values(self) -> Array:
-        """Return the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+        """Return the estimate of now: ``nav.state.COLUMNS`` without the time, shape (34,)."""
         return np.asarray(self._timeline.describe())
 
     def health(self) -> Health:
@@ -189,7 +196,12 @@ class Pipeline:
             samples=int(x.samples),
             gaps=int(x.gaps),
             ratios={aid: x.ratio[aid] for aid in Aid},
+            denied={aid: bool(x.is_denied[aid]) for aid in Aid},
             verdicts={aid: {why: int(x.count[aid][why]) for why in Verdict} for aid in Aid},
+            headings={
+                sensor: {why: int(x.heading_count[i][why]) for why in Verdict}
+                for i, sensor in enumerate(HEADING_SENSORS)
+            },
             arrivals={
                 kind: {arrival: int(arrivals[kind, arrival]) for arrival in Arrival}
                 for kind in Kind
@@ -279,7 +291,7 @@ class Estimate:
 
     @property
     def values(self) -> Array:
-        """The whole estimate: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+        """The whole estimate: ``nav.state.COLUMNS`` without the time, shape (34,)."""
         return self._pipeline.values()
 
     @property

@@ -278,7 +278,7 @@ def _estimator_status(health: Health, t_ns: int) -> bytes:
         flags = StatusFlag.ATTITUDE
     elif health.status < Status.ATTITUDE:
         flags = StatusFlag(0)
-    if max(health.ratios[Aid.POSITION], health.ratios[Aid.VELOCITY]) > 1.0:
+    if health.is_receiver_refused:
         flags |= StatusFlag.GPS_GLITCH
     aids = (Aid.VELOCITY, Aid.POSITION, Aid.HEIGHT, Aid.HEADING)
     return encode.estimator_status(

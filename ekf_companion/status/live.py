@@ -47,7 +47,8 @@ class Live:
     gyro_bias_deg_s: tuple[float, ...]
     accel_bias_m_s2: tuple[float, ...]
     ratios: Mapping[str, float]
-    """Last normalised innovation squared over its gate, by aid: above 1 it was refused."""
+    """Last normalised innovation squared over its gate, by aid: above 1 it was refused. One that
+    other evidence denies is refused whatever its ratio is."""
     nis: Mapping[str, float]
     """Mean normalised innovation squared over its degrees of freedom, of 20 s, by aid."""
     resets: int

@@ -12,7 +12,7 @@ const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
 const dashed = { colour: "autopilot", dash: [6, 4] };
 const axes = ["x", "y", "z"].map((name, i) => ({ name, colour: `c${i + 1}` }));
 const aids = AIDS.map((name, i) => ({ name, colour: `c${i + 1}` }));
-const VERDICTS = ["fused", "deweighted", "gated", "suspect", "disturbed", "superseded", "before_alignment"];
+const VERDICTS = ["fused", "deweighted", "gated", "denied", "suspect", "disturbed", "superseded", "before_alignment"];
 
 export function startLive() {
   const map = new Map();
