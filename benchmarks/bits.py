@@ -67,6 +67,9 @@ status. A deliberate change of a name stands here, and nothing else."""
 RECORDED_LAYOUT = bytes.fromhex("5df1410b78c92450")
 """What a checkpoint said of the names of its fields when the hashes were recorded."""
 
+RECORDED_COLUMNS = 33
+"""Numbers of an estimate when the hashes were recorded; the reasons came behind them."""
+
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FILE = Path(__file__).with_name("bits.json")
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv", ".csv.gz", ".txt", ".mat")
@@ -172,7 +175,7 @@ class Watched:
         pipeline = self._companion.pipeline
         if pipeline is not None and pipeline.stamp_ns != self._stamp_ns:
             self._stamp_ns = pipeline.stamp_ns
-            self._digests["table"].add(self._stamp_ns, pipeline.values())
+            self._digests["table"].add(self._stamp_ns, pipeline.values()[:RECORDED_COLUMNS])
         self._observer.tick(self._now_ns)
         if self._next_ns is None or self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + STATUS_EVERY_NS
@@ -241,7 +244,7 @@ def replay(path: Path) -> Hashes:
     except CompanionError as error:
         return _refused(error)
     digest = Digest()
-    digest.add(table.stamp_ns, table.values)
+    digest.add(table.stamp_ns, table.values[:, :RECORDED_COLUMNS])
     hashes["table"] = str(digest)
     status = Digest()
     status.add(json.dumps(plain(report.health)).encode())
@@ -264,7 +267,8 @@ def smooth(path: Path) -> Hashes:
     """Smooth a recording."""
     live, smoothed, _ = estimate_and_smooth(path, Config())
     digest = Digest()
-    digest.add(live.stamp_ns, live.values, smoothed.stamp_ns, smoothed.values)
+    tables = (live.values[:, :RECORDED_COLUMNS], smoothed.values[:, :RECORDED_COLUMNS])
+    digest.add(live.stamp_ns, tables[0], smoothed.stamp_ns, tables[1])
     return {"smoothed": str(digest)}
 
 
@@ -281,7 +285,8 @@ def by_filters(path: Path) -> Hashes:
                 hashes[label] = type(error).__name__
                 continue
             digest = Digest()
-            digest.add(solution.table.stamp_ns, solution.table.values, solution.covariance)
+            values = solution.table.values[:, :RECORDED_COLUMNS]
+            digest.add(solution.table.stamp_ns, values, solution.covariance)
             hashes[label] = str(digest)
     return hashes
 

@@ -2,7 +2,7 @@ from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport Estimate, Motion, Scratch
 from ekf_companion.core.state cimport State
 cdef double late_fix(State *x) noexcept nogil
-cdef int find_status(State *x, Parameters *k) noexcept nogil
+cdef int find_status(State *x, int reasons) noexcept nogil
 cdef int find_reasons(State *x, Parameters *k) noexcept nogil
 cdef bint is_refused(State *x, Py_ssize_t aid) noexcept nogil
 cdef int write_estimate(

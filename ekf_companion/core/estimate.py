@@ -10,6 +10,7 @@ from cython.cimports.ekf_companion.core.enums import (
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
+    AZIMUTH_MAGNETIC,
     E_ATT,
     E_POS,
     E_VEL,
@@ -23,6 +24,8 @@ from cython.cimports.ekf_companion.core.enums import (
     REASON_CLIMB_BARO,
     REASON_CLIMB_HEIGHT,
     REASON_CLIMB_VELOCITY,
+    REASON_COMPASS_MISSING,
+    REASON_COMPASS_REFUSED,
     REASON_FALL,
     REASON_GAP,
     REASON_HEADING_MISSING,
@@ -68,7 +71,7 @@ VAGUE_VAR = cython.declare(cython.double, 0.0305)
 """Variance of an angle beyond which the attitude is not well known, rad^2: 10 degrees."""
 
 
-def find_status(x: State, k: Parameters) -> int:
+def find_status(x: State, reasons: int) -> int:
     """Return the status of the state: a :class:`~.nav.state.Status`, the worst of its reasons."""
     if x.mode == MODE_INIT:
         return STATUS_INIT
@@ -76,7 +79,6 @@ def find_status(x: State, k: Parameters) -> int:
         return STATUS_ALIGNING
     if x.mode == MODE_ATTITUDE:
         return STATUS_ATTITUDE
-    reasons = find_reasons(x, k)
     if reasons & REASON_UNCERTAIN:
         return STATUS_INVALID
     if reasons & REASON_UNAIDED:
@@ -118,7 +120,10 @@ def find_reasons(x: State, k: Parameters) -> int:
     if is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
         # where there never was a compass, turns show the heading as well
         is_wrong = is_refused(x, AID_HEADING)
-        reasons |= REASON_HEADING_REFUSED if is_wrong else REASON_HEADING_MISSING
+        if x.azimuth >= AZIMUTH_MAGNETIC:
+            reasons |= REASON_COMPASS_REFUSED if is_wrong else REASON_COMPASS_MISSING
+        else:
+            reasons |= REASON_HEADING_REFUSED if is_wrong else REASON_HEADING_MISSING
     if is_timed_out(x, AID_HEIGHT, late + 1.0):
         is_wrong = is_refused(x, AID_HEIGHT)
         reasons |= REASON_HEIGHT_REFUSED if is_wrong else REASON_HEIGHT_MISSING
@@ -154,7 +159,8 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     What is not known yet is NaN.
     """
     m = address(w.motion)
-    status = find_status(x, k)
+    reasons = find_reasons(x, k)
+    status = find_status(x, reasons)
     copy_nominal(y, x)
     y.origin = x.origin
     if k.lag > 0.0 and x.mode >= MODE_ATTITUDE:
@@ -167,6 +173,7 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     clear(out)
     out.status = status
     out.resets = x.resets
+    out.reasons = reasons
     if x.mode < MODE_ATTITUDE:
         return status
     write_attitude(x, y, m, out)

@@ -311,6 +311,8 @@ class Estimate:
     std_euler: Annotated[Vector, 3]
     status: Real
     resets: Real
+    reasons: Real
+    """:class:`~.nav.state.Reason`, the sum of its bits."""
 
 
 @struct

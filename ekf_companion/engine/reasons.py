@@ -10,51 +10,11 @@ import math
 
 from ekf_companion.core.enums import Aid, Azimuth
 from ekf_companion.core.state import State
+from ekf_companion.nav.reason import ORDER, WORDS
 from ekf_companion.nav.state import Reason
 
 LONGEST_WORDS = 29
 """Characters: of 50, without ``Companion: degraded: ``."""
-ORDER = (
-    Reason.POSITION_REFUSED,
-    Reason.SLIDE,
-    Reason.POSITION_OFF,
-    Reason.CLIMB_BARO,
-    Reason.CLIMB_HEIGHT,
-    Reason.CLIMB_VELOCITY,
-    Reason.CLIMB_ANY,
-    Reason.HEIGHT_REFUSED,
-    Reason.HEIGHT_OFF,
-    Reason.HEADING_REFUSED,
-    Reason.VELOCITY_REFUSED,
-    Reason.FALL,
-    Reason.SLOW_SAMPLES,
-    Reason.AUTOPILOTS,
-    Reason.GAP,
-    Reason.POSITION_MISSING,
-    Reason.HEIGHT_MISSING,
-    Reason.HEADING_MISSING,
-    Reason.UNPROVEN,
-    Reason.ATTITUDE,
-    Reason.UNAIDED,
-    Reason.UNCERTAIN,
-)
-"""The reason that is told of several is the first: what is wrong before what follows from it."""
-_FIXED = {
-    Reason.UNCERTAIN: "error beyond its limit",
-    Reason.UNAIDED: "no GNSS is used",
-    Reason.GAP: "IMU gap, until fixes confirm",
-    Reason.UNPROVEN: "new attitude, not proven yet",
-    Reason.AUTOPILOTS: "position is the autopilot's",
-    Reason.POSITION_MISSING: "no GNSS position",
-    Reason.HEADING_MISSING: "no compass",
-    Reason.HEIGHT_MISSING: "no GNSS height",
-    Reason.HEIGHT_OFF: "GNSS height off to one side",
-    Reason.CLIMB_HEIGHT: "GNSS height against barometer",
-    Reason.CLIMB_VELOCITY: "GNSS climb against barometer",
-    Reason.CLIMB_BARO: "barometer against GNSS height",
-    Reason.CLIMB_ANY: "GNSS and barometer disagree",
-    Reason.FALL: "GNSS climb against IMU",
-}
 _HEADINGS = {int(Azimuth.ANTENNA): "antenna heading", int(Azimuth.OTHER): "other heading"}
 
 
@@ -75,13 +35,15 @@ def _words(x: State, reason: Reason) -> str:
     if reason is Reason.VELOCITY_REFUSED:
         return f"GNSS velocity {_off(x, Aid.VELOCITY, 3)} m/s off"
     if reason is Reason.HEADING_REFUSED:
-        return f"{_HEADINGS.get(int(x.azimuth), 'compass')} is refused"
+        return f"{_HEADINGS.get(int(x.azimuth), 'heading')} is refused"
+    if reason is Reason.COMPASS_REFUSED:
+        return "compass is refused"
     if reason is Reason.SLOW_SAMPLES:
         return f"IMU at {1.0 / x.dt:.0f} Hz is too slow"
     if reason is Reason.ATTITUDE:
         worst = math.sqrt(max(x.P[i][i] for i in range(3)))
         return f"attitude to {min(math.degrees(worst), 180.0):.0f} deg only"
-    return _FIXED[reason]
+    return WORDS[reason]
 
 
 def _off(x: State, aid: Aid, rows: int) -> str:

@@ -133,6 +133,7 @@ class Recorder:
             ACCEL_BIAS: np.array([one.accel_bias for one in self._states]),
             SIGMA: np.hstack([sigmas[:, 6:9], sigmas[:, 3:6], of_angles]),
             ("status", "reset_count"): np.stack([status, self._resets], axis=1),
+            ("reasons",): np.zeros((len(q_nb), 1)),
         }
         if self._frame is not None:
             lat, lon, alt = self._frame.to_geodetic(pos_n)
@@ -175,7 +176,7 @@ def attitude_solution(name: str, samples: MargSamples, found: AttitudeEstimates)
     columns = {
         EULER: angles,
         QUATERNION: q_nb,
-        ("status", "reset_count"): np.stack([status, np.zeros(n)], axis=1),
+        ("status", "reset_count", "reasons"): np.stack([status, *np.zeros((2, n))], axis=1),
     }
     if found.bias is not None:
         columns[GYRO_BIAS] = found.bias

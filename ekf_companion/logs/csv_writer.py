@@ -12,6 +12,7 @@ import orjson
 
 from ekf_companion.logs.csv_lines import join_lines
 from ekf_companion.logs.writer import STATUS_NAMES, EstimateWriter
+from ekf_companion.nav import reason
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import COLUMNS, Table
 
@@ -41,7 +42,7 @@ class Writer(EstimateWriter):
             np.ascontiguousarray(values[:, :_STATUS]), option=orjson.OPT_SERIALIZE_NUMPY
         )
         stamps = orjson.dumps(stamp_ns // 1000, option=orjson.OPT_SERIALIZE_NUMPY)
-        ends = list(_ends(values[:, _STATUS : _STATUS + 2].astype(np.int64)))
+        ends = list(_ends(values[:, _STATUS : _STATUS + 3].astype(np.int64)))
         size = len(numbers) + len(stamps) + sum(count * len(end) for end, count in ends)
         if size > len(self._lines):
             self._lines = bytearray(size)
@@ -54,10 +55,11 @@ class Writer(EstimateWriter):
 def _ends(numbers: npt.NDArray[np.int64]) -> Iterator[tuple[bytes, int]]:
     """Yield the ends of lines, and how many lines in a row have each.
 
-    They are of the numbers of status and resets, shape (n, 2).
+    They are of the numbers of status, resets and reasons, shape (n, 3).
     """
     firsts = np.flatnonzero((numbers[1:] != numbers[:-1]).any(axis=1)) + 1
     firsts = np.concatenate([[0], firsts])
     counts = np.diff(firsts, append=len(numbers)).tolist()
-    for (status, resets), count in zip(numbers[firsts].tolist(), counts, strict=True):
-        yield b",%s,%d\n" % (_NAMES[status], resets), count
+    for (status, resets, reasons), count in zip(numbers[firsts].tolist(), counts, strict=True):
+        why = reason.names(reasons).encode()
+        yield b",%s,%d,%s\n" % (_NAMES[status], resets, why), count

@@ -153,6 +153,7 @@ def is_estimate(path: Path) -> bool:
         return False
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
-            return file.readline().strip().split(",") == COLUMNS
+            header = file.readline().strip().split(",")
+            return header in (COLUMNS, COLUMNS[:-1])  # the last came later
     except OSError:
         return False

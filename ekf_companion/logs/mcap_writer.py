@@ -25,8 +25,9 @@ from ekf_companion.logs.writer import (
     east_north_up,
     with_position,
 )
+from ekf_companion.nav import reason
 from ekf_companion.nav.arrays import Array, Stamps
-from ekf_companion.nav.state import COLUMNS, GEODETIC, Status, Table
+from ekf_companion.nav.state import COLUMNS, GEODETIC, Reason, Status, Table
 from ekf_companion.version import __version__
 
 POSE_RATE = 25.0
@@ -51,9 +52,10 @@ _SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     "/estimate": (
         "ekf_companion.Estimate",
         _object(
-            **{name: {"type": ["number", "null"]} for name in COLUMNS[1:-2]},
+            **{name: {"type": ["number", "null"]} for name in COLUMNS[1:-3]},
             status=_TEXT,
             reset_count=_WHOLE,
+            reasons=_TEXT,
         ),
     ),
     "/pose": (
@@ -99,7 +101,9 @@ def _around(template: str) -> list[bytes]:
     return [part.encode() for part in template.split("#")]
 
 
-_ESTIMATE = [b'%s"%s":' % (b"," if n else b"{", c.encode()) for n, c in enumerate(COLUMNS[1:-2])]
+_ENDS = ("status", "reset_count", "reasons")
+"""Columns at the end of a row that are no measured numbers."""
+_ESTIMATE = [b'%s"%s":' % (b"," if n else b"{", c.encode()) for n, c in enumerate(COLUMNS[1:-3])]
 _POSE = _around(
     '{"frame_id":"map","pose":{"position":{"x":#,"y":#,"z":#},"orientation":{"w":#,"x":#,"y":#,"z":#}}'
 )
@@ -126,7 +130,7 @@ class Writer(EstimateWriter):
         }
         self._text = bytearray()
         self._poses, self._locations = Thinning(POSE_RATE), Thinning(LOCATION_RATE)
-        self._last: tuple[int, int] | None = None  # status and resets
+        self._last: tuple[int, int, int] | None = None  # of a row: _ENDS
 
     def write(self, table: Table) -> None:
         """Append estimates.
@@ -172,15 +176,16 @@ class Writer(EstimateWriter):
             self._mcap.add(channel, stamps, memoryview(self._text), behind)
 
     def _add_estimates(self, table: Table) -> None:
-        words: dict[tuple[float, float], bytes] = {}
+        words: dict[tuple[int, ...], bytes] = {}
         ends = []
-        for status, resets in table.columns(("status", "reset_count")).tolist():
-            end = words.get((status, resets))
+        for row in table.columns(_ENDS).astype(int).tolist():
+            end = words.get(key := tuple(row))
             if end is None:
-                said = {"status": STATUS_NAMES[int(status)], "reset_count": int(resets)}
-                end = words[status, resets] = b"," + orjson.dumps(said)[1:]
+                said = {"status": STATUS_NAMES[key[0]], "reset_count": key[1]}
+                said["reasons"] = reason.names(key[2])
+                end = words[key] = b"," + orjson.dumps(said)[1:]
             ends.append(end)
-        self._add_objects("/estimate", table.stamp_ns, table.values[:, :-2], _ESTIMATE, ends)
+        self._add_objects("/estimate", table.stamp_ns, table.values[:, :-3], _ESTIMATE, ends)
 
     def _add_poses(self, table: Table) -> None:
         pos_enu, q = east_north_up(table)
@@ -194,15 +199,18 @@ class Writer(EstimateWriter):
         self._add_stamped("/location", table, numbers, _LOCATION)
 
     def _add_changes(self, table: Table) -> None:
-        """Add a line where the status or the number of resets differs from the row before."""
-        now = table.columns(("status", "reset_count")).astype(int)
+        """Add a line where status, foremost reason or resets differ from the row before."""
+        now = table.columns(_ENDS).astype(int)
+        now[:, 2] = reason.foremost_of(now[:, 2])
         is_new = np.ones(len(now), dtype=bool)
         is_new[1:] = (np.diff(now, axis=0) != 0).any(axis=1)
         for row in np.flatnonzero(is_new).tolist():
-            status, resets = now[row].tolist()
-            if self._last == (status, resets):
+            status, resets, why = now[row].tolist()
+            if self._last == (status, resets, why):
                 continue
             words = f"status {STATUS_NAMES[status]}, {resets} resets so far"
+            if why:
+                words += f": {reason.WORDS[Reason(why)]}"
             line = {
                 "timestamp": _time(int(table.stamp_ns[row])),
                 "level": _INFO if status <= Status.OK else _WARNING,
@@ -211,7 +219,7 @@ class Writer(EstimateWriter):
                 "file": "",
                 "line": 0,
             }
-            self._last = status, resets
+            self._last = status, resets, why
             stamps = table.stamp_ns[row : row + 1]
             self._add_objects("/log", stamps, np.zeros((1, 0)), [], [orjson.dumps(line)])
 

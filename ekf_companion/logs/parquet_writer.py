@@ -9,6 +9,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from ekf_companion.logs.writer import STATUS_NAMES, EstimateWriter
+from ekf_companion.nav import reason
 from ekf_companion.nav.state import (
     ACCEL_BIAS,
     COLUMNS,
@@ -40,8 +41,14 @@ _UNITS: dict[str, tuple[str, str]] = {
     **dict.fromkeys(SIGMA[6:], ("rad", "one sigma")),
     "status": ("", "how far the estimate can be trusted"),
     "reset_count": ("1", "jumps on purpose so far"),
+    "reasons": ("", "why the status is worse than ok, the foremost first, joined by +"),
 }
-_TYPES = {"time_us": pa.int64(), "status": pa.string(), "reset_count": pa.int32()}
+_TYPES = {
+    "time_us": pa.int64(),
+    "status": pa.string(),
+    "reset_count": pa.int32(),
+    "reasons": pa.string(),
+}
 SCHEMA = pa.schema(
     [
         pa.field(
@@ -71,6 +78,10 @@ class Writer(EstimateWriter):
             values = table.column(name)
             if name == "status":
                 words = np.array(STATUS_NAMES)[values.astype(int)]
+                columns.append(pa.array(words.tolist(), type=pa.string()))
+            elif name == "reasons":
+                found, rows = np.unique(values.astype(int), return_inverse=True)
+                words = np.array([reason.names(one) for one in found.tolist()])[rows]
                 columns.append(pa.array(words.tolist(), type=pa.string()))
             elif name == "reset_count":
                 columns.append(pa.array(values.astype(np.int32)))

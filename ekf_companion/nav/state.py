@@ -67,9 +67,9 @@ class Reason(IntFlag):
     ATTITUDE = 1 << 11
     """The attitude is not well known."""
     HEADING_REFUSED = 1 << 12
-    """The azimuth in use, as a compass's, is refused."""
+    """The heading in use, of two antennas or of another estimate, is refused."""
     HEADING_MISSING = 1 << 13
-    """No azimuth is fused, and none was refused."""
+    """No such heading is fused, and none was refused."""
     HEIGHT_REFUSED = 1 << 14
     """The receiver's height is refused."""
     HEIGHT_MISSING = 1 << 15
@@ -86,6 +86,10 @@ class Reason(IntFlag):
     """They disagree, and no two agree against the third."""
     FALL = 1 << 21
     """The inertial samples deny the vertical velocity, and no barometer confirms it."""
+    COMPASS_REFUSED = 1 << 22
+    """The compass, whose heading is in use, is refused."""
+    COMPASS_MISSING = 1 << 23
+    """No heading of it is fused, and none was refused."""
 
 
 GEODETIC = ("lat_deg", "lon_deg", "alt_m")
@@ -97,7 +101,7 @@ GYRO_BIAS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
 ACCEL_BIAS = ("accel_bias_x", "accel_bias_y", "accel_bias_z")
 MOTION = (*GEODETIC, *POSITION, *VELOCITY, *QUATERNION, *EULER)
 SIGMA = tuple(f"sd_{name}" for name in (*POSITION, *VELOCITY, *EULER))
-COLUMNS = ["time_us", *MOTION, *GYRO_BIAS, *ACCEL_BIAS, *SIGMA, "status", "reset_count"]
+COLUMNS = ["time_us", *MOTION, *GYRO_BIAS, *ACCEL_BIAS, *SIGMA, "status", "reset_count", "reasons"]
 """Names of an estimate's numbers, in the order of a CSV row."""
 
 
@@ -108,7 +112,7 @@ class Table:
     stamp_ns: Stamps
     """The samples' own stamps, shape (n,)."""
     values: Array
-    """``COLUMNS`` without the time, shape (n, 33); NaN: not known."""
+    """``COLUMNS`` without the time, shape (n, 34); NaN: not known."""
 
     def __len__(self) -> int:
         return len(self.stamp_ns)

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, Kind
-from ekf_companion.nav.state import Status, Table
+from ekf_companion.nav.reason import seconds_by_reason, to_words
+from ekf_companion.nav.state import Reason, Status, Table
 
 SLOWEST = 3.0
 """m/s above which a course is one."""
@@ -21,8 +22,6 @@ ASKEW = float(np.deg2rad(70.0))
 FEW, MOST = 0.05, 0.5
 """Shares of an aid's measurements that were refused: above the first it is a reason of what else
 is said, above the second it is said in any case."""
-SETTLING_NS = 5_000_000_000
-"""Time after a begin or a reset in which fixes have yet to confirm an attitude, ns."""
 LATE_NS = 3_000_000_000
 """Time without a position from the first fix on that a start at rest with a heading does not take,
 ns."""
@@ -57,10 +56,11 @@ def sentences(
     found = []
     if has_position and not (status >= Status.OK).any():
         found.append(why_no_position(events))
+    seconds = seconds_by_reason(table)
     for bad in (Status.DEGRADED, *_AFTER):
         if (rows := np.flatnonzero(status == bad)).size:
             first = table.stamp_ns[rows[0]] * 1e-9
-            words = _AFTER.get(bad) or _why_degraded(table, rows, counts)
+            words = _AFTER.get(bad) or _why_degraded(seconds.get(bad, {}), counts)
             share = len(rows) / len(status)
             found.append(f"{share:.1%} of the time, first at {first:.1f} s, {bad.words}: {words}")
     said = " ".join(found)
@@ -78,17 +78,9 @@ def refusals(counts: Mapping[str, tuple[int, int]], share: float) -> list[str]:
     return found
 
 
-def _why_degraded(table: Table, rows: Indices, counts: Mapping[str, tuple[int, int]]) -> str:
-    """Return why the estimates of some rows are degraded."""
-    if found := refusals(counts, FEW):
-        return "; ".join(found)
-    status, resets = table.column("status"), table.column("reset_count")
-    begins = np.diff(status >= Status.OK, prepend=False) | (np.diff(resets, prepend=0.0) != 0.0)
-    begin_ns = table.stamp_ns[begins]
-    last = np.maximum(np.searchsorted(begin_ns, table.stamp_ns[rows], side="right") - 1, 0)
-    if np.all(table.stamp_ns[rows] - begin_ns[last] < SETTLING_NS):
-        return "it had only just begun, or jumped, and fixes had yet to confirm the attitude"
-    return "one of position, velocity, height and heading was not aided, or contradicted by its aid"
+def _why_degraded(by_reason: Mapping[Reason, float], counts: Mapping[str, tuple[int, int]]) -> str:
+    """Return why estimates are degraded: by their reasons, and by what was refused often."""
+    return "; ".join(one for one in (to_words(by_reason), *refusals(counts, FEW)) if one)
 
 
 def late_begin(table: Table, events: Events) -> list[str]:

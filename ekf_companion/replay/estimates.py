@@ -15,6 +15,7 @@ from ekf_companion.logs.tum_writer import Writer as TumWriter
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.reason import Seconds, seconds_by_reason
 from ekf_companion.nav.state import (
     ACCEL_BIAS,
     COLUMNS,
@@ -172,6 +173,16 @@ class Estimates:
     def status(self) -> npt.NDArray[np.int64]:
         """``ekf_companion.nav.state.Status`` of each, shape (n,): from 3 on there is a position."""
         return self.table.column("status").astype(np.int64)
+
+    @property
+    def reasons(self) -> npt.NDArray[np.int64]:
+        """Why each is worse than OK, shape (n,): sums of ``ekf_companion.nav.state.Reason``."""
+        return self.table.column("reasons").astype(np.int64)
+
+    @property
+    def seconds(self) -> Seconds:
+        """Seconds by status, and of each by the foremost of its reasons: they add up to it."""
+        return seconds_by_reason(self.table)
 
     def to_dataframe(self, library: str = "pandas") -> Any:
         """Return all columns as a DataFrame of ``pandas`` or ``polars``.

@@ -15,6 +15,14 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage
 from ekf_companion.nav.arrays import median
 from ekf_companion.nav.measurements import Events, Kind, is_derived, of_receiver
+from ekf_companion.nav.reason import (
+    NONE,
+    Seconds,
+    add_seconds,
+    seconds_by_reason,
+    to_names,
+    to_words,
+)
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay.extent import Extent
 from ekf_companion.replay.left_out import LeftOut
@@ -41,6 +49,8 @@ class Report:
     steps: dict[Kind, list[float]] = field(default_factory=dict)
     """From one event to the next, ns: the median of each block."""
     seconds: dict[Status, float] = field(default_factory=dict)
+    reasons: Seconds = field(default_factory=dict)
+    """The same by the foremost reason of each; without those of a status that has none."""
     estimates: int = 0
     reboots: int = 0
     """How often the autopilot's clock began anew."""
@@ -83,10 +93,18 @@ class Report:
             "reboots": self.reboots,
             "damage": self.damage.words,
             "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
+            "seconds_by_reason": {
+                status.name.lower(): to_names(by_reason)
+                for status, by_reason in self.reasons.items()
+            },
             "resets": health.resets if health else 0,
             "gaps": health.gaps if health else 0,
             "late": health.reruns if health else 0,
             "aids": _by_name(health.verdicts) if health else {},
+            "headings": {
+                sensor: {why.name.lower(): count for why, count in row.items() if count}
+                for sensor, row in (health.headings if health else {}).items()
+            },
             "arrivals": _by_name(health.arrivals) if health else {},
             "refused_by_decoder": self.refused,
         }
@@ -120,13 +138,11 @@ def add_block(report: Report, events: Events, table: Table) -> None:
     report.track.add(events, table)
     report.extent.add(events)
     if len(table) > 1:
-        status = table.column("status")[1:]
-        spans = np.diff(table.stamp_ns) * 1e-9
-        spans[(spans < 0.0) | (spans > 5.0)] = 0.0
-        for each in Status:
-            spent = float(spans[status == each].sum())
-            if spent > 0.0:
-                report.seconds[each] = report.seconds.get(each, 0.0) + spent
+        for status, by_reason in seconds_by_reason(table).items():
+            spent = sum(by_reason.values())
+            report.seconds[status] = report.seconds.get(status, 0.0) + spent
+            if by_reason.keys() != {NONE}:
+                add_seconds(report.reasons, {status: by_reason})
 
 
 def note_shortcomings(report: Report, path: Path) -> None:
@@ -233,6 +249,9 @@ def summary(report: Report) -> list[str]:
         )
     spent = ", ".join(f"{each.name.lower()} {s:.1f} s" for each, s in report.seconds.items())
     lines.append(f"  status: {spent}")
+    for status, by_reason in sorted(report.reasons.items()):
+        if words := to_words(by_reason):
+            lines.append(f"  {status.words}: {words}")
     link = {why: count for why, count in report.refused.items() if ": " not in why}
     left = {why.split(": ", 1)[1]: n for why, n in report.refused.items() if ": " in why}
     for title, table in (("link", link), ("left out or mended", left)):

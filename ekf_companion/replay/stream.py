@@ -31,6 +31,7 @@ from ekf_companion.nav.state import (
     QUATERNION,
     SIGMA,
     VELOCITY,
+    Reason,
     Status,
 )
 from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
@@ -84,6 +85,8 @@ class StreamEstimate(NamedTuple):
     """Longitude, degrees."""
     alt: float
     """Height above mean sea level, m."""
+    reasons: Reason
+    """Why the status is worse than OK: all that hold."""
 
 
 class Stream:
@@ -143,7 +146,13 @@ class Stream:
         status = Status(int(values[COLUMNS.index("status") - 1]))
         lat_deg, lon_deg, alt = values[_GEODETIC].tolist()
         return StreamEstimate(
-            t_ns=t_ns, status=status, lat_deg=lat_deg, lon_deg=lon_deg, alt=alt, **parts
+            t_ns=t_ns,
+            status=status,
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            alt=alt,
+            reasons=Reason(int(values[COLUMNS.index("reasons") - 1])),
+            **parts,
         )
 
     @property

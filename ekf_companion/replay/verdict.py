@@ -8,6 +8,7 @@ from typing import NamedTuple
 from ekf_companion.engine.health import Aid
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.reason import to_words
 from ekf_companion.nav.state import Status
 from ekf_companion.replay.departure import Departure
 from ekf_companion.replay.report import Report
@@ -44,6 +45,8 @@ AIDS = {
     Aid.BARO: "barometer's heights",
 }
 """Aids besides the fixes, in words."""
+MOST_REASONS = 2
+"""Reasons of a status that the sentence names, the longest; the summary has them all."""
 FEWEST = 10
 """Refused measurements of an aid from which on they are named."""
 
@@ -203,7 +206,10 @@ def _of_status(report: Report, spent: float) -> Reasons:
         seconds = report.seconds.get(status, 0.0)
         is_long = seconds > OFTEN * spent or status is Status.INVALID
         if seconds > 1.0 and seconds > RARELY * spent * (status is Status.DEGRADED):
-            (poor if is_long else fair).append(words.format(seconds))
+            by_reason = report.reasons.get(status, {})
+            most = dict(sorted(by_reason.items(), key=lambda one: -one[1])[:MOST_REASONS])
+            why = f" ({to_words(most)})" if status is Status.DEGRADED and most else ""
+            (poor if is_long else fair).append(words.format(seconds) + why)
     return Reasons(tuple(poor), tuple(fair))
 
 

@@ -10,6 +10,7 @@ from ekf_companion.engine.publisher import _estimator_status
 from ekf_companion.mavlink.encode import StatusFlag
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.measurements import Events
+from ekf_companion.nav.state import COLUMNS, Reason, Status
 from tests.core.flights import between, flight
 from tests.engine.estimation import KNOWN, run
 
@@ -55,6 +56,17 @@ def test_estimator_status_has_the_true_ratio_and_the_flag_of_a_glitch(seen):
     message = layout.record._make(layout.unpack(_estimator_status(health, 0)))
     assert message.pos_horiz_ratio == pytest.approx(health.ratios[Aid.POSITION] ** 0.5)
     assert message.flags & StatusFlag.GPS_GLITCH
+
+
+def test_the_status_of_each_estimate_is_the_worst_of_its_reasons():
+    table, _ = run(dragged())
+    status = table.column("status")
+    reasons = table.column("reasons").astype(int)
+    assert (reasons[status <= Status.OK] == 0).all()
+    assert (reasons[status == Status.DEGRADED] != 0).all()
+    assert not (reasons[status == Status.DEGRADED] & (Reason.UNAIDED | Reason.UNCERTAIN)).any()
+    assert Reason.POSITION_OFF in Reason(int(np.bitwise_or.reduce(reasons)))
+    assert COLUMNS[-1] == "reasons"
 
 
 def test_a_compass_that_is_refused_is_not_counted_for_two_antennas():

@@ -17,7 +17,7 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import COLUMNS, Status
 from ekf_companion.replay.run import BlockPipeline, Run
 from sim_autopilot.autopilot import Kind as Firmware
 from tests.core.flights import flight
@@ -84,7 +84,7 @@ class Found:
         at = np.searchsorted(truth.pos_t_ns, taken_ns)
         self.vel = self.values[:, 6:9] - truth.vel_n[at]
         self.sd_vel = self.values[:, 24:27]
-        self.is_ok = self.values[:, -2] == Status.OK
+        self.is_ok = self.values[:, COLUMNS.index("status") - 1] == Status.OK
 
     def count(self, arrival: Arrival) -> int:
         return self.pipeline.health().arrivals[Kind.IMU][arrival]
@@ -117,7 +117,8 @@ def test_a_clock_that_is_set_back_is_followed_without_a_sample_lost(by):
     # A second of the fifteen is not called OK, until fixes have confirmed it
     found = judge(set_back(by), 0.9)
     (step,) = np.flatnonzero(np.diff(found.stamps) < 0)
-    assert np.diff(found.values[:, -1]).nonzero()[0].tolist() == [step]  # the reset counter tells
+    resets = found.values[:, COLUMNS.index("reset_count") - 1]
+    assert np.diff(resets).nonzero()[0].tolist() == [step]
     assert found.pipeline.health().reset_reason == "clock"
     assert found.pipeline.health().arrivals[Kind.RESTART][Arrival.RESTARTED] == 1
     assert found.pipeline.health().samples == np.count_nonzero(flown()[0].kind == Kind.IMU)

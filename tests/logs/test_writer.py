@@ -11,7 +11,8 @@ from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs.csv_writer import Writer as CsvWriter
 from ekf_companion.logs.writer import create
-from ekf_companion.nav.state import COLUMNS, Status, Table
+from ekf_companion.nav import reason
+from ekf_companion.nav.state import COLUMNS, Reason, Status, Table
 from ekf_companion.replay.convert import convert
 from sim_autopilot.__main__ import app as simulator
 
@@ -76,10 +77,11 @@ def test_a_line_has_each_number_to_the_bit_and_no_cell_for_what_is_unknown(tmp_p
         * 10.0 ** rng.integers(-300, 300, 3000)[:, None]
     )
     values[rng.random(values.shape) < 0.1] = np.nan
-    values[:40, :-2] = np.nan
+    values[:40, :-3] = np.nan
     values[50:60, 3] = -0.0
-    values[:, -2] = rng.integers(0, len(Status), 3000)
-    values[:, -1] = np.arange(3000) // 700
+    values[:, -3] = rng.integers(0, len(Status), 3000)
+    values[:, -2] = np.arange(3000) // 700
+    values[:, -1] = rng.integers(0, 1 << len(Reason), 3000)
     stamps = np.concatenate([[-7_000, 0], np.arange(1, 2999) * 4_000_000])
     with CsvWriter(tmp_path / "out.csv") as writer:
         writer.write(Table(stamp_ns=stamps, values=values))
@@ -88,10 +90,11 @@ def test_a_line_has_each_number_to_the_bit_and_no_cell_for_what_is_unknown(tmp_p
     assert lines.pop() == ""
     cells = [line.split(",") for line in lines]
     assert [int(row[0]) for row in cells] == (stamps // 1000).tolist()
-    read = np.array([[float(cell or "nan") for cell in row[1:-2]] for row in cells])
-    unknown = np.isnan(values[:, :-2])
+    read = np.array([[float(cell or "nan") for cell in row[1:-3]] for row in cells])
+    unknown = np.isnan(values[:, :-3])
     assert (np.isnan(read) == unknown).all()
-    assert np.where(unknown, 0.0, read).tobytes() == np.nan_to_num(values[:, :-2]).tobytes()
-    assert [row[-2:] for row in cells] == [
-        [Status(int(status)).name.lower(), str(int(resets))] for status, resets in values[:, -2:]
+    assert np.where(unknown, 0.0, read).tobytes() == np.nan_to_num(values[:, :-3]).tobytes()
+    assert [row[-3:-1] for row in cells] == [
+        [Status(int(status)).name.lower(), str(int(resets))] for status, resets in values[:, -3:-1]
     ]
+    assert [reason.from_names(row[-1]) for row in cells] == values[:, -1].tolist()

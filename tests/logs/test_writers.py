@@ -14,6 +14,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError, MissingPackageError
 from ekf_companion.logs import ulog
 from ekf_companion.logs.writer import WRITERS, Thinning, open_writer, with_position
+from ekf_companion.nav import reason
 from ekf_companion.nav.state import COLUMNS, GEODETIC, POSITION, QUATERNION, Status, Table
 from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
 from sim_autopilot.__main__ import app as sim
@@ -50,12 +51,14 @@ def test_parquet_has_every_bit_units_and_frames(flown):
     read = parquet.read_table(folder / "out.parquet")
     assert read.column_names == COLUMNS
     assert read.column("time_us").to_pylist() == (table.stamp_ns // 1000).tolist()
-    for name in COLUMNS[1:-2]:
+    for name in COLUMNS[1:-3]:
         ours, theirs = table.column(name), read.column(name).to_numpy()
         assert read.column(name).null_count == np.isnan(ours).sum()
         assert np.where(np.isnan(ours), 0.0, ours).tobytes() == np.nan_to_num(theirs).tobytes()
     words = [Status(int(one)).name.lower() for one in table.column("status")]
     assert read.column("status").to_pylist() == words
+    sets = [reason.from_names(text) for text in read.column("reasons").to_pylist()]
+    assert sets == table.column("reasons").tolist()
     said = {field.name: field.metadata for field in read.schema}
     assert said["vel_d"] == {b"unit": b"m/s", b"frame": b"north-east-down of the origin"}
     assert said["gyro_bias_x"][b"unit"] == b"rad/s"
