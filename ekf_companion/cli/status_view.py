@@ -118,7 +118,20 @@ def _estimate(data: Data) -> str:
     text += f", sigma {horizontal} and {_number(estimator['std_vertical'], 'm', 2)}"
     text += f", newest sample {_number(data['sample_age_s'], 's', 2)} ago"
     text += f", {estimator['samples']} samples, {estimator['gaps']} gaps"
-    return _with_losses(text, {f"resets for {reason}": n for reason, n in data["resets"].items()})
+    text = _with_losses(text, {f"resets for {reason}": n for reason, n in data["resets"].items()})
+    return text + _reasons(data["seconds"])
+
+
+def _reasons(seconds: Mapping[str, Mapping[str, float]]) -> str:
+    """Return for how long the estimate was worse than OK in this run, and why."""
+    from ekf_companion.nav.reason import to_words
+    from ekf_companion.nav.state import Reason
+
+    text = ""
+    for status, by_reason in seconds.items():
+        found = {Reason[why.upper()]: spent for why, spent in by_reason.items() if why}
+        text += f"; {status.replace('_', ' ')}: {to_words(found)}" if found else ""
+    return text
 
 
 def _output(output: Data) -> str:
@@ -187,7 +200,7 @@ def _aids(estimator: Data) -> Table:
     table = _table("Aid", "fused", "refused", "other", "test ratio", "NIS")
     for aid, verdicts in estimator["verdicts"].items():
         fused = verdicts.get("fused", 0) + verdicts.get("deweighted", 0)
-        refused = verdicts.get("gated", 0)
+        refused = verdicts.get("gated", 0) + verdicts.get("denied", 0)
         other = sum(verdicts.values()) - fused - refused
         ratio, nis = estimator["ratios"].get(aid), estimator["nis"].get(aid)
         row = (str(fused), str(refused), str(other), _number(ratio, "", 2), _number(nis, "", 2))

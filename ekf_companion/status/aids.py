@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ekf_companion.core.enums import Azimuth
+from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.mavlink.decode import heading, inertial
@@ -38,6 +39,7 @@ _WHY = {
     Verdict.GATED: "outside its gate",
     Verdict.SUSPECT: "the receiver reports jamming or spoofing",
     Verdict.DISTURBED: "the magnetic field is not the Earth's",
+    Verdict.DENIED: "contradicted by other evidence",
 }
 """Verdicts that refuse, in words."""
 _NO_FIELD = "mag: no field of the Earth"
@@ -96,7 +98,7 @@ class AidWatch:
 
     def _watch_level(self, pipeline: Pipeline, *, is_at_rest: bool, now_ns: int) -> None:
         values = pipeline.values()
-        if not is_at_rest or int(values[-2]) < Status.ATTITUDE:
+        if not is_at_rest or int(as_estimate(values).status) < Status.ATTITUDE:
             self._level.clear()
             self._settled_ns = None
             return

@@ -50,6 +50,16 @@ HEALTH = {
         "Last normalised innovation squared over its gate: above 1 it was refused.",
         ("aid",),
     ),
+    "denied": gauge(
+        "denied",
+        "1 where the last was refused on other evidence than its test ratio.",
+        ("aid",),
+    ),
+    "headings": counter(
+        "headings",
+        "What became of the headings, by kind of sensor.",
+        ("sensor", "verdict"),
+    ),
     "nis": gauge(
         "nis",
         "Mean normalised innovation squared over its degrees of freedom, of the last 20 s: 1 if "

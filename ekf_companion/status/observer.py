@@ -47,6 +47,7 @@ from ekf_companion.status.snapshot import (
     ReloadState,
     Snapshot,
 )
+from ekf_companion.status.status_time import StatusTime
 from ekf_companion.version import __version__
 
 SPAN = 20
@@ -171,6 +172,7 @@ class Observer:
         self._link, self._companion = link, companion
         self._clock, self._recorded, self._unheard = clock, recorded, unheard
         self._nis, self._progress, self._aids = RecentNis(), Progress(), AidWatch()
+        self._status_time = StatusTime()
         self._odometries = self._new_odometries = self._stale = 0
         self._longest_ns = 0
         self._begin_ns = self._tick_ns = clock()
@@ -250,6 +252,7 @@ class Observer:
         if (pipeline := self._companion.pipeline) is not None:
             self._nis.update(pipeline, now_ns)
             self._progress.update(pipeline, now_ns)
+            self._status_time.update(pipeline)
             self._aids.update(pipeline, self._companion.session, now_ns)
 
     def _note_changes(self, now_ns: int) -> None:
@@ -328,6 +331,7 @@ class Observer:
             process=self._process(host, now, first),
             sample_age_s=seconds_since(self._sampled_ns, now_ns),
             resets=dict(self._resets),
+            seconds=self._status_time.by_name(),
             tuned=self._companion.tuning.changed,
             reload=ReloadState(count=self._companion.reloads, words=self._companion.last_reload),
         )

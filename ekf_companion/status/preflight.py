@@ -81,8 +81,7 @@ def check(snapshot: Snapshot) -> Preflight:
         if not reasons:
             reasons += _of_beginning(snapshot.vehicle)
         if not reasons and snapshot.estimator.status is Status.DEGRADED and not notes:
-            why = next(iter(snapshot.estimator.reasons.values()), "see its sigmas")
-            reasons.append(Reason("degraded", f"the estimate is degraded: {why}; wait"))
+            reasons.append(Reason("degraded", _why_degraded(snapshot, snapshot.estimator)))
     notes += _remarks(snapshot)
     if reasons:
         words = "; ".join(reason.words for reason in reasons)
@@ -96,6 +95,16 @@ def check(snapshot: Snapshot) -> Preflight:
         notes=tuple(notes),
         causes=tuple(dict.fromkeys(reason.cause for reason in reasons)),
     )
+
+
+def _why_degraded(snapshot: Snapshot, health: Health) -> str:
+    """Return why the estimate is degraded, and for how long it has been so in this run."""
+    foremost, why = next(iter(health.reasons.items()), (None, "see its sigmas"))
+    spent = snapshot.seconds.get("degraded", {})
+    words = f"the estimate is degraded: {why}"
+    if foremost is not None and (seconds := spent.get(str(foremost.name).lower(), 0.0)) >= 1.0:
+        words += f", {seconds:.0f} s of this run"
+    return f"{words}; wait"
 
 
 def _of_vehicle(snapshot: Snapshot) -> Iterator[Reason]:

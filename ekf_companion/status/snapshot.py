@@ -51,6 +51,13 @@ def _statuses(health: Health | None) -> dict[Status, bool]:
     return {status: status is now for status in Status}
 
 
+def _by_status_and_reason(
+    seconds: Mapping[str, Mapping[str, float]],
+) -> dict[tuple[str, ...], float]:
+    """Return the seconds by two labels."""
+    return {(each, why): s for each, by_reason in seconds.items() for why, s in by_reason.items()}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkState:
     """The descriptor, and the bytes."""
@@ -382,6 +389,17 @@ class Snapshot:
         Mapping[str, int],
         counter("resets", "The estimate's jumps on purpose in this run.", ("reason",)),
     ] = field(default_factory=dict)
+    seconds: Annotated[
+        Mapping[str, Mapping[str, float]],
+        counter(
+            "status_seconds",
+            "Time of this run by status and by its foremost reason.",
+            ("status", "reason"),
+            rows=_by_status_and_reason,
+        ),
+    ] = field(default_factory=dict)
+    """By name of the status, then of the foremost of its reasons, which is empty where there is
+    none: those of a status add up to its seconds."""
     tuned: Annotated[
         Mapping[str, object],
         gauge(

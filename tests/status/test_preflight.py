@@ -111,6 +111,24 @@ def test_fixes_that_are_refused_are_told():
     assert re.search(r"degraded: GNSS is 5\d m off, refused", found.reasons[0])
 
 
+def test_a_degraded_estimate_is_told_with_how_long_it_was_so_in_this_run():
+    snapshot = stand(f"gnss-jump:start=12,{WHOLE}", duration=14.5).snapshot()
+    spent = {"degraded": {"position_refused": 180.4, "compass_missing": 3.0}}
+    found = check(replace(snapshot, seconds=spent))
+    assert re.search(
+        r"degraded: GNSS is 5\d m off, refused, 180 s of this run; wait", found.sentence
+    )
+
+
+def test_the_seconds_of_a_run_are_charged_to_status_and_reason():
+    seconds = stand(f"gnss-outage:start=6,how=nofix,{WHOLE}", duration=14.0).snapshot().seconds
+    assert seconds["dead_reckoning"]["position_missing"] == pytest.approx(5.5, abs=1.2)
+    assert set(seconds["ok"]) == {""}
+    assert "" not in seconds["dead_reckoning"]
+    whole = sum(spent for by_reason in seconds.values() for spent in by_reason.values())
+    assert whole == pytest.approx(14.0, abs=1.5)  # from the second look on, twice a second
+
+
 def test_a_receiver_that_has_settled_elsewhere_than_the_autopilot_is_told():
     found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=12.0))
     assert found.causes == ("position differs",)
