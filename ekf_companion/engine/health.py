@@ -98,16 +98,26 @@ class Health:
 
     def fused(self, aid: Aid) -> int:
         """Return how many measurements of an aid were fused, with full or with less weight."""
-        return self.verdicts[aid][Verdict.FUSED] + self.verdicts[aid][Verdict.DEWEIGHTED]
+        return fused_of(self.verdicts[aid])
 
     def refused(self, aid: Aid) -> int:
         """Return how many measurements of an aid were looked at and not believed."""
-        return sum(self.verdicts[aid][why] for why in REFUSALS)
+        return refused_of(self.verdicts[aid])
 
     def refused_share(self, aid: Aid) -> float:
         """Return the share of an aid's measurements that was refused."""
         refused = self.refused(aid)
         return refused / max(refused + self.fused(aid), 1)
+
+
+def fused_of(verdicts: Mapping[Verdict, int]) -> int:
+    """Return how many measurements were fused, with full or with less weight."""
+    return verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED]
+
+
+def refused_of(verdicts: Mapping[Verdict, int]) -> int:
+    """Return how many measurements were looked at and not believed."""
+    return sum(verdicts[why] for why in REFUSALS)
 
 
 __all__ = ["REFUSALS", "RESET_REASONS", "Aid", "Arrival", "Health", "Verdict"]

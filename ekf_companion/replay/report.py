@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health
+from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health, Verdict
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage
 from ekf_companion.nav.arrays import median
@@ -221,6 +221,13 @@ def _check_estimated(report: Report, path: Path) -> None:
         raise LogError(f"{path}: nothing could be estimated: {what}")
 
 
+def _in_words(verdicts: Mapping[Verdict, int]) -> str:
+    """Return verdicts with their counts in words; empty: there is none."""
+    return ", ".join(
+        f"{count} {why.name.lower().replace('_', ' ')}" for why, count in verdicts.items() if count
+    )
+
+
 def summary(report: Report) -> list[str]:
     """Return the report as lines to read."""
     lines = [f"{report.log}: {report.family} autopilot, {report.estimates} estimates"]
@@ -233,14 +240,12 @@ def summary(report: Report) -> list[str]:
     lines.append(f"  found: {rates}")
     if report.health is not None:
         for aid in Aid:
-            verdicts = report.health.verdicts[aid]
-            if any(verdicts.values()):
-                words = ", ".join(
-                    f"{count} {why.name.lower().replace('_', ' ')}"
-                    for why, count in verdicts.items()
-                    if count
-                )
+            if words := _in_words(report.health.verdicts[aid]):
                 lines.append(f"  {aid.name.lower()}: {words}")
+            sensors = {one: _in_words(row) for one, row in report.health.headings.items()}
+            sensors = {one: words for one, words in sensors.items() if words}
+            if aid is Aid.HEADING and len(sensors) > 1:
+                lines += [f"    {one}: {words}" for one, words in sensors.items()]
         late = report.health.reruns
         lines.append(
             f"  resets: {report.health.resets}"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ekf_companion.engine.health import Aid
+from ekf_companion.engine.health import Aid, Verdict, fused_of, refused_of
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.reason import to_words
@@ -41,12 +42,20 @@ LARGEST_LOSS = 0.05
 AIDS = {
     Aid.HEIGHT: "receiver's heights",
     Aid.VELOCITY: "receiver's velocities",
-    Aid.HEADING: "headings",
     Aid.BARO: "barometer's heights",
 }
-"""Aids besides the fixes, in words."""
+"""Aids besides the fixes, in words; the headings are judged by sensor."""
+SENSORS = {
+    "antennas": "headings of two antennas",
+    "other": "headings of another estimate",
+    "compass": "compass's headings",
+}
+"""Sensors of a heading, in words."""
 MOST_REASONS = 2
 """Reasons of a status that the sentence names, the longest; the summary has them all."""
+MOSTLY = 0.5
+"""Share of the refused headings of a compass whose field is not the Earth's, from which on that is
+its trouble: iron of the vehicle, which a calibration takes out, or of what is around it."""
 FEWEST = 10
 """Refused measurements of an aid from which on they are named."""
 
@@ -234,15 +243,28 @@ def _of_fixes(report: Report) -> Reasons:
 
 
 def _of_aids(report: Report) -> Reasons:
-    """Name what other aids were refused often: a disturbed compass, say; refusing is right."""
+    """Name what other sensors were refused often: a disturbed compass, say; refusing is right."""
     if (health := report.health) is None:
         return Reasons()
-    aside = (
-        f"{health.refused_share(aid):.0%} of the {words} refused"
-        for aid, words in AIDS.items()
-        if health.refused_share(aid) > OFTEN and health.refused(aid) >= FEWEST
-    )
-    return Reasons(aside=tuple(aside))
+    by_sensor = {words: health.verdicts[aid] for aid, words in AIDS.items()}
+    by_sensor |= {
+        words: health.headings[sensor]
+        for sensor, words in SENSORS.items()
+        if sensor in health.headings
+    }
+    return Reasons(aside=tuple(filter(None, map(_refusal, by_sensor, by_sensor.values()))))
+
+
+def _refusal(sensor: str, verdicts: Mapping[Verdict, int]) -> str:
+    """Return how many of a sensor's measurements were refused; empty: few."""
+    refused, fused = refused_of(verdicts), fused_of(verdicts)
+    if refused < FEWEST or refused <= OFTEN * (refused + fused):
+        return ""
+    share = f"{refused / (refused + fused):.0%}" if fused else f"all {refused}"
+    words = f"{share} of the {sensor} refused"
+    if verdicts[Verdict.DISTURBED] > MOSTLY * refused:
+        words += " (its field is not the Earth's: calibrate mag may help)"
+    return words
 
 
 def _of_table(report: Report) -> Reasons:

@@ -12,7 +12,7 @@ from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import COLUMNS, QUATERNION, Status, Trajectory
-from ekf_companion.replay.report import Report
+from ekf_companion.replay.report import Report, summary
 from tests.replay.test_track import NONE, SECOND_NS, table_of
 
 T_S = np.arange(0.0, 100.0, 0.05)
@@ -37,7 +37,10 @@ def reported(sigma_deg=2.0, imu=200.0, refused=0, **witness):
     found.counts[Kind.GNSS], found.rates[Kind.IMU] = 100, imu
     health = Pipeline(FilterSettings()).health()
     counts = dict.fromkeys(Verdict, 0) | {Verdict.FUSED: 100, Verdict.DISTURBED: refused}
-    found.health = replace(health, verdicts=dict(health.verdicts) | {Aid.HEADING: counts})
+    sensors = dict(health.headings) | {"compass": counts}
+    found.health = replace(
+        health, verdicts=dict(health.verdicts) | {Aid.HEADING: counts}, headings=sensors
+    )
     return found
 
 
@@ -132,4 +135,30 @@ def test_an_aid_that_was_refused_often_is_named():
     own = other(turned(TURN))
     assert judge_log(reported(refused=20, own=own)).aside == ()
     often = judge_log(reported(refused=50, own=own))
-    assert often.sentence == f"good: {NEAR}, no resets, 33% of the headings refused"
+    assert often.sentence == (
+        f"good: {NEAR}, no resets, 33% of the compass's headings refused (its field is not the "
+        "Earth's: calibrate mag may help)"
+    )
+
+
+def test_a_compass_that_is_refused_is_named_beside_a_heading_that_is_not():
+    found = reported(own=other(turned(TURN)))
+    none = dict.fromkeys(Verdict, 0)
+    compass, antennas = none | {Verdict.DISTURBED: 125}, none | {Verdict.FUSED: 420}
+    both = none | {Verdict.DISTURBED: 125, Verdict.FUSED: 420}
+    found.health = replace(
+        found.health,
+        verdicts=dict(found.health.verdicts) | {Aid.HEADING: both},
+        headings={"compass": compass, "antennas": antennas},
+    )
+    assert judge_log(found).aside == (
+        "all 125 of the compass's headings refused (its field is not the Earth's: calibrate mag "
+        "may help)",
+    )
+    lines = summary(found)
+    assert "    compass: 125 disturbed" in lines
+    assert "    antennas: 420 fused" in lines
+    # by a gate, and not for its field
+    gated = none | {Verdict.GATED: 60, Verdict.FUSED: 40}
+    found.health = replace(found.health, headings={"compass": none, "antennas": gated})
+    assert judge_log(found).aside == ("60% of the headings of two antennas refused",)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_ATT, E_BG, E_DELAY, E_HEADING, E_IRON, E_POS, E_VEL, N
+from ekf_companion.core.enums import E_ATT, E_BG, E_DELAY, E_HEADING, E_IRON, E_POS, E_VEL, Aid, N
+from ekf_companion.core.parameters import Parameters
 from ekf_companion.core.scratch import Observation
 from ekf_companion.core.state import State
 from tests.core.interpreted import load
@@ -93,7 +94,10 @@ def test_an_azimuth_moves_yaw_gyro_bias_and_iron_only_and_says_so_in_its_covaria
 def test_an_innovation_covariance_that_is_none_passes_no_gate():
     x, o, *_ = a_problem(4, 2)
     array(o.R)[:] = -100.0
-    assert load().correct.innovate(x, o) > 1e20
+    assert np.isnan(load().correct.innovate(x, o))
+    k = Parameters()
+    array(k.gate)[:], array(k.soft_gate)[:] = 1e9, 1e8
+    assert not load().gate.fuse(x, k, o, Aid.HEADING)
 
 
 def test_the_difference_of_two_states_is_the_error_that_was_injected_and_takes_p_back():
@@ -151,5 +155,5 @@ def test_a_log_likelihood_is_that_of_a_normal_distribution_up_to_the_gate():
     gate.score(x, o, 1e6, 20.0)
     outlier = -0.5 * (20.0 + np.log(np.linalg.det(S)))
     assert x.log_likelihood == pytest.approx(right + outlier, rel=1e-12)
-    gate.score(x, o, 1e30, 20.0)
+    gate.score(x, o, np.nan, 20.0)  # no covariance to judge by
     assert x.log_likelihood == pytest.approx(right + outlier, rel=1e-12)

@@ -28,7 +28,7 @@ def doubts(innovations: np.ndarray, change: float) -> np.ndarray:
     for n, y in enumerate(innovations):
         x.t = n * 2e8
         o.y[:], o.z[:] = y, y
-        doubt.learn_doubt(x, k, fix, o, float(y @ y))
+        doubt.learn_doubt(x, k, fix, o, float(y @ y), False)
         found.append(x.doubt)
     return np.array(found)
 

@@ -27,7 +27,7 @@ from ekf_companion.engine.checkpoint import (
 from ekf_companion.engine.health import Aid, Arrival, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import COLUMNS, Status
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
 from tests.core.test_timeline import a_timeline, put, some_events
@@ -38,6 +38,7 @@ BOOT = bytes(range(16))
 VEHICLE = Vehicle("px4", 7, 1)
 CLOCKS = Clocks(1_800_000_000 * SECOND_NS, 300 * SECOND_NS, BOOT)
 EVENTS, TRUTH = flight("figure-eight", duration=12.0)
+RESETS = COLUMNS.index("reset_count") - 1  # among the numbers of an estimate
 
 
 def a_pipeline(events=EVENTS):
@@ -304,7 +305,8 @@ def test_where_nothing_is_lost_it_goes_on_to_the_bit(kind, every):
         arrivals = put(after, events.take(np.arange(cut, len(events))))
         assert Arrival.STALE not in arrivals
         assert told(after) == told(whole), cut
-        assert after.describe()[:-1].tobytes() == (whole.describe()[:-1].tobytes())
+        a, b = (np.delete(one.describe(), RESETS) for one in (after, whole))
+        assert a.tobytes() == b.tobytes()
         assert after.resets == whole.resets + 1
     assert waiting > 0
 
@@ -316,7 +318,7 @@ def test_a_pipeline_goes_on_from_the_bytes_of_another_to_the_bit():
     pipeline.run(EVENTS.take(np.arange(len(EVENTS)) >= len(EVENTS) - 2))
     assert pipeline.stamp_ns == whole.stamp_ns
     a, b = pipeline.values(), whole.values()
-    assert a[:-1].tobytes() == b[:-1].tobytes()
+    assert np.delete(a, RESETS).tobytes() == np.delete(b, RESETS).tobytes()
     assert pipeline.resets == whole.resets + 1
     health = pipeline.health()
     assert (health.reset_reason, health.start) == ("restart", "warm")
