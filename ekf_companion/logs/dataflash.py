@@ -18,6 +18,7 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs import receiver_time, series
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
+from ekf_companion.logs.dataflash_flown import parameter
 from ekf_companion.logs.dataflash_records import OFFSET, Tables, read_tables
 from ekf_companion.logs.dataflash_sensors import INSTANCE
 from ekf_companion.logs.dataflash_tables import (
@@ -357,7 +358,7 @@ def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arriv
 
     A log has them in those of the board.
     """
-    roll, pitch = (_parameter(tables, name) or 0.0 for name in (b"AHRS_TRIM_X", b"AHRS_TRIM_Y"))
+    roll, pitch = (parameter(tables, name) or 0.0 for name in (b"AHRS_TRIM_X", b"AHRS_TRIM_Y"))
     if not (roll or pitch):
         return lambda arrivals: arrivals
     C_vb = trim_matrix(roll, pitch)
@@ -372,14 +373,6 @@ def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arriv
         return events.rotated(3, C_vb) if events.kind == Kind.IMU else events
 
     return lambda arrivals: [(turned(events), places) for events, places in arrivals]
-
-
-def _parameter(tables: Columns, name: bytes) -> float | None:
-    """Return the first value that a log has of a parameter: what was flown with."""
-    if "PARM" not in tables or "Name" not in names_of(tables["PARM"]):
-        return None
-    found = tables["PARM"]["Value"][tables["PARM"]["Name"] == name]
-    return float(found[0]) if len(found) and np.isfinite(found[0]) else None
 
 
 def _gnss_delay(tables: Columns) -> float | None:

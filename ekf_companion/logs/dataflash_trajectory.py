@@ -9,18 +9,17 @@ import numpy.typing as npt
 
 from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_columns import names_of
+from ekf_companion.logs.dataflash_flown import filters, setting_of_dcm
+from ekf_companion.logs.dataflash_origin import geodetic
 from ekf_companion.logs.dataflash_tables import Columns, rows_of
 from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
-from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.event_columns import EventColumns
-from ekf_companion.nav.interpolation import resample
 from ekf_companion.nav.state import Trajectory
 
-_EKFS = (("XKF1", "EKF3"), ("NKF1", "EKF2"), ("EKF1", "EKF1"))
 Position = dict[str, npt.NDArray[Any]]
-"""The position fields of a trajectory."""
+"""The position fields of a trajectory, or those of the velocity too."""
 
 
 def _attitude(table: Column) -> Array:
@@ -48,72 +47,78 @@ def _position(tables: Columns, name: str) -> Position:
 
 
 def reference(tables: Columns, fixes: EventColumns | None, notes: list[str]) -> Trajectory | None:
-    """Return the autopilot's own estimate: the newest generation of its filter that ran.
+    """Return the autopilot's own estimate: that which it flew on, as far as the log holds it.
 
     An origin that the log does not hold is fitted to the fixes.
     """
-    for name, words in _EKFS:
-        if (rows := rows_of(tables, name)) is None:
-            continue
-        later = series.ascending(rows[1])
-        table, t_ns = rows[0][later], rows[1][later]
-        position, source = _position(tables, "POS"), "POS"
-        if not position:
-            position, source = _position_about_origin(tables, table, t_ns, fixes, notes), "origin"
-        return Trajectory(
-            name=f"{words} ({name}, position from {source if position else 'nowhere'})",
-            **position,
-            vel_t_ns=t_ns,
-            vel_n=series.stack(table, "VN", "VE", "VD"),
-            att_t_ns=t_ns,
-            q_nb=_attitude(table),
-        )
-    if (rows := rows_of(tables, "ATT")) is None:
+    found = next((one for one in filters(tables) if rows_of(tables, one[0]) is not None), None)
+    setting, att = setting_of_dcm(tables), rows_of(tables, "ATT")
+    if att is not None and (setting or found is None):
+        return _of_dcm(tables, att, found, fixes, notes)
+    if found is None or (rows := rows_of(tables, found[0])) is None:
         return None
+    parts, source = _motion(tables, rows, fixes, notes)
     later = series.ascending(rows[1])
     return Trajectory(
-        name="attitude and heading reference (ATT)",
-        **(_position(tables, "POS") or _position(tables, "AHR2")),
+        name=f"{found[1]} ({found[0]}, position from {source})",
+        **parts,
         att_t_ns=rows[1][later],
         q_nb=_attitude(rows[0][later]),
     )
 
 
-def _position_about_origin(
-    tables: Columns, table: Column, t_ns: Stamps, fixes: EventColumns | None, notes: list[str]
-) -> Position:
-    """Return positions from north, east, down of the filter's origin (ORGN, or fitted)."""
-    ned = series.stack(table, "PN", "PE", "PD")
-    origin = None
-    if "ORGN" in tables:
-        rows = tables["ORGN"][tables["ORGN"]["Type"] == 0]  # 0: the filter's origin, 1: home
-        if len(rows) and rows[-1]["Lat"] != 0:
-            lat, lon = np.deg2rad(rows[-1]["Lat"]), np.deg2rad(rows[-1]["Lng"])
-            origin = LocalFrame(float(lat), float(lon), float(rows[-1]["Alt"]))
-    if origin is None and (origin := _fitted_origin(fixes, ned, t_ns)) is not None:
+def _of_dcm(
+    tables: Columns,
+    att: tuple[Column, Stamps],
+    looks_on: tuple[str, str] | None,
+    fixes: EventColumns | None,
+    notes: list[str],
+) -> Trajectory:
+    """Return the attitude of ATT, with the position that goes with it."""
+    name, setting = "attitude and heading reference (ATT)", setting_of_dcm(tables)
+    parts = _position(tables, "POS")
+    if setting and looks_on is not None and (rows := rows_of(tables, looks_on[0])) is not None:
+        name = f"DCM (ATT), for {setting}"
+        if not parts:
+            parts, source = _motion(tables, rows, fixes, notes, _position(tables, "AHR2"))
+            name += f"; position and velocity are of {looks_on[1]}, which only looks on ({source})"
         notes.append(
-            "the origin of the autopilot's filter is not in the log: it is fitted to the GNSS "
-            "fixes, so a constant offset between the two is not seen"
+            f"{setting}: the autopilot flew on DCM, whose attitude (ATT) the estimate is compared "
+            f"with; {looks_on[1]} only looked on"
         )
-    if origin is None:
-        return {}
-    lat, lon, alt = origin.to_geodetic(ned)
-    return {"pos_t_ns": t_ns, "lat": lat, "lon": lon, "alt": alt}
+    later = series.ascending(att[1])
+    return Trajectory(
+        name=name,
+        **(parts or _position(tables, "AHR2")),
+        att_t_ns=att[1][later],
+        q_nb=_attitude(att[0][later]),
+    )
 
 
-def _fitted_origin(fixes: EventColumns | None, ned: Array, t_ns: Stamps) -> LocalFrame | None:
-    """Return the origin that places the filter's positions on the fixes, by the median."""
-    if fixes is None or len(t_ns) < 2:
-        return None
-    lat, lon, alt = fixes.columns[:3]
-    frame = LocalFrame(float(lat[0]), float(lon[0]), float(alt[0]))
-    both = (fixes.t_ns >= t_ns[0]) & (fixes.t_ns <= t_ns[-1])
-    if not both.any():
-        return None
-    mine = resample(fixes.t_ns[both], t_ns, ned)
-    fixed = frame.to_ned(lat[both], lon[both], alt[both])
-    lat0, lon0, alt0 = frame.to_geodetic(np.median(fixed - mine, axis=0))
-    return LocalFrame(float(lat0), float(lon0), float(alt0))
+def _motion(
+    tables: Columns,
+    rows: tuple[Column, Stamps],
+    fixes: EventColumns | None,
+    notes: list[str],
+    other: Position | None = None,
+) -> tuple[Position, str]:
+    """Return position and velocity of a filter's rows, and where the position is from.
+
+    ``other`` is the position of AHR2, where that is the filter's.
+    """
+    later = series.ascending(rows[1])
+    table, t_ns = rows[0][later], rows[1][later]
+    vel_n = series.stack(table, "VN", "VE", "VD")
+    position, source = (other, "AHR2") if other else (_position(tables, "POS"), "POS")
+    if not position:
+        ned = series.stack(table, "PN", "PE", "PD")
+        found = geodetic(tables, table, t_ns, ned, vel_n, fixes, notes)
+        source = "nowhere" if found is None else "origin"
+        if found is not None:
+            is_known = np.isfinite(found[0])
+            lat, lon, alt = (one[is_known] for one in found)
+            position = {"pos_t_ns": t_ns[is_known], "lat": lat, "lon": lon, "alt": alt}
+    return {**position, "vel_t_ns": t_ns, "vel_n": vel_n}, source
 
 
 def truth(tables: Columns) -> Trajectory | None:
