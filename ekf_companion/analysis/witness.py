@@ -24,14 +24,22 @@ STEEP = np.deg2rad(60.0)
 """Pitch, rad, beyond which yaw is nearly a turn about the axis of roll."""
 FAST_NS = 250_000_000
 """Longest step, in the median, from which the next turn can be told, and so a jump."""
+UNKNOWN = 1.0
+"""One sigma of yaw, rad, from which on there is no heading to compare: of one that may be any it is
+1.8."""
 STEP_NS = 500_000_000
 """Longest step between two stamps that counts as time beyond a sigma."""
 
 
 def departure_of(report: Report, ours: Trajectory) -> Departure:
-    """Return how far yaw, tilt and height are from a truth's, else from the autopilot's."""
+    """Return how far yaw, tilt and height are from a truth's, else from the autopilot's.
+
+    Without a position they are those of the attitudes alone.
+    """
+    if not len(ours.pos_t_ns):
+        ours = report.track.attitudes()
     for other in (report.truth, report.own):
-        if other is not None and len(ours.pos_t_ns) and len(other.att_t_ns):
+        if other is not None and len(ours.att_t_ns) and len(other.att_t_ns):
             is_truth = other is report.truth
             angles = _angles(report, ours, other, is_truth)
             if angles:
@@ -47,12 +55,15 @@ def _angles(
         return ()
     at_ns, mine, theirs = found
     sigmas = report.track.sigmas_at(at_ns)
-    settled = at_ns > ours.pos_t_ns[0] + difference.SETTLED_NS
+    first_ns = ours.pos_t_ns[0] if len(ours.pos_t_ns) else ours.att_t_ns[0]
+    settled = at_ns > first_ns + difference.SETTLED_NS
     is_fast = len(at_ns) > 1 and median(np.diff(at_ns)) <= FAST_NS
     turns = (_turns(mine), _turns(theirs)) if is_fast and not is_truth else ()
+    yaw_errors = in_pieces(_yaw_errors, mine, theirs)
+    yaw_errors[~(sigmas[:, 1] < UNKNOWN)] = np.nan
     angles = []
     for name, limit, errors, sigma in (
-        ("yaw", YAW, in_pieces(_yaw_errors, mine, theirs), sigmas[:, 1]),
+        ("yaw", YAW, yaw_errors, sigmas[:, 1]),
         ("tilt", TILT, in_pieces(difference.tilt_errors, mine, theirs), sigmas[:, 0]),
     ):
         beyond = np.nan_to_num(errors) > np.maximum(SIGMAS * sigma, limit)
@@ -131,6 +142,8 @@ def _excess(
 
 
 def _height(report: Report, ours: Trajectory, other: Trajectory) -> Height | None:
+    if not len(ours.pos_t_ns) or not len(other.pos_t_ns):
+        return None
     begin_ns = int(ours.pos_t_ns[0]) + difference.SETTLED_NS
     found = difference.in_position(ours, other, (begin_ns, int(ours.pos_t_ns[-1])))
     if found is None:

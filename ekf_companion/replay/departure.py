@@ -118,11 +118,15 @@ class Departure(NamedTuple):
                 aside.append(f"{words} (another datum?)")
         return poor, fair, aside
 
+    def attitude(self) -> str:
+        """Return how far the attitude is from the witness's, whatever its size; empty: unknown."""
+        found = [f"{one.name} {_degrees(one.rms)}" for one in self.angles if np.isfinite(one.rms)]
+        return f"{', '.join(found)} RMS from {self.witness}" if found else ""
+
     def guess(self) -> str:
         """Return what is said of an attitude that could not be estimated well."""
-        found = [f"{one.name} {_degrees(one.rms)}" for one in self.angles if np.isfinite(one.rms)]
-        words = "so the attitude is a guess"
-        return f"{words} ({', '.join(found)} RMS from {self.witness})" if found else words
+        words, found = "so the attitude is a guess", self.attitude()
+        return f"{words} ({found})" if found else words
 
 
 def _degrees(angle: float) -> str:

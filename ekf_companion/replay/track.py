@@ -35,6 +35,10 @@ class Track:
         self._part: list[Indices] = []
         self._t_ns: list[Stamps] = []
         self._values: list[Array] = []
+        self._attitudes: list[Array] = []
+        """Of rows without a position: quaternion, sigma of tilt and yaw, NaN for the height's."""
+        self._attitude_ns: list[Stamps] = []
+        self._attitude_part: list[Indices] = []
         self._fix_part: list[Indices] = []
         self._fix_ns: list[Stamps] = []
         self._fixes: list[Array] = []
@@ -61,11 +65,22 @@ class Track:
             self._part.append(part[rows])
             self._t_ns.append(kept.stamp_ns)
             self._values.append(np.column_stack(columns))
+        self._add_attitudes(part, table)
         last = max(len(self.stretches.found) - 1, 0)
         is_fix = of_receiver(events) & known_rows(events.values[:, :2])
         self._fix_part.append(of_events(events, first, last)[is_fix])
         self._fix_ns.append(events.t_ns[is_fix])
         self._fixes.append(events.values[is_fix, :3])
+
+    def _add_attitudes(self, part: Indices, table: Table) -> None:
+        is_known = table.column("status") == Status.ATTITUDE
+        rows = np.flatnonzero(is_known & known_rows(table.columns(QUATERNION)))
+        rows = rows[np.diff(table.stamp_ns[rows] // SLOT_NS, prepend=-1) != 0]
+        if len(rows):
+            kept = Table(stamp_ns=table.stamp_ns[rows], values=table.values[rows])
+            self._attitude_part.append(part[rows])
+            self._attitude_ns.append(kept.stamp_ns)
+            self._attitudes.append(np.column_stack([kept.columns(QUATERNION), _sigmas(kept)]))
 
     def sigma(self) -> Size | None:
         """Return one sigma of the horizontal position, as estimated; None: there is no position."""
@@ -108,11 +123,29 @@ class Track:
             q_nb=in_pieces(so3.normalise, values[is_turned, 4:8]),
         )
 
+    def attitudes(self) -> Trajectory:
+        """Return the attitudes of the longest stretch while there is no position."""
+        t_ns, values = self._longest_attitudes()
+        q_nb = in_pieces(so3.normalise, values[:, :4])
+        return Trajectory(name="ekf-companion", att_t_ns=t_ns, q_nb=q_nb)
+
     def sigmas_at(self, at_ns: Stamps) -> Array:
-        """Return one sigma of tilt, yaw (rad) and height (m) at stamps of it, shape (n, 3)."""
+        """Return one sigma of tilt, yaw (rad) and height (m) at stamps of it, shape (n, 3).
+
+        They are those of :meth:`positions` or, where there is none, of :meth:`attitudes`.
+        """
         t_ns, values = self._longest()
+        if not len(t_ns):
+            t_ns, values = self._longest_attitudes()
         rows = np.clip(np.searchsorted(t_ns, at_ns, side="right") - 1, 0, len(t_ns) - 1)
-        return values[rows, 8:]
+        return values[rows, -3:]
+
+    def _longest_attitudes(self) -> tuple[Stamps, Array]:
+        if not self._attitude_ns:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 7))
+        is_of = np.concatenate(self._attitude_part) == self.stretches.longest
+        t_ns, rows = np.unique(np.concatenate(self._attitude_ns)[is_of], return_index=True)
+        return t_ns, np.concatenate(self._attitudes)[is_of][rows]
 
     def seconds_of(self, t_ns: int) -> float:
         """Return when a stamp of the longest stretch was, s after the first estimate."""

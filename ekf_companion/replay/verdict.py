@@ -104,7 +104,8 @@ class Judgement:
     grade: str
     """``good``, ``fair``, ``poor``, ``attitude only``, ``slow`` (samples) or ``short`` (log)."""
     size: str
-    """How large its horizontal error is, and by whom; empty: there is no position."""
+    """How large its horizontal error is, and by whom; without a position that of its attitude;
+    empty: it is not known."""
     reasons: tuple[str, ...]
     """What speaks against it, the worst first."""
     aside: tuple[str, ...] = ()
@@ -134,8 +135,9 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
         words = (f"{whole:.0f} s are too few to judge",)
         return Judgement(grade="short", size="", reasons=words + poor + fair, aside=aside)
     if spent == 0.0:
-        reasons = (_why_no_position(report), *poor, *fair)
-        return Judgement(grade="attitude only", size="", reasons=reasons, aside=aside)
+        reasons = (_why_no_position(report), *poor, *departure.poor, *fair, *departure.fair)
+        size, aside = evidence.departure.attitude(), aside + departure.aside
+        return Judgement(grade="attitude only", size=size, reasons=reasons, aside=aside)
     if rate < SLOW:  # what else is found follows from that
         first = _of_samples(rate).fair
         rest = (*first, *departure.poor, *departure.fair)

@@ -11,8 +11,9 @@ from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import COLUMNS, QUATERNION, Status, Trajectory
+from ekf_companion.nav.state import COLUMNS, GEODETIC, QUATERNION, Status, Trajectory
 from ekf_companion.replay.report import Report, summary
+from ekf_companion.replay.track import Track
 from tests.replay.test_track import NONE, SECOND_NS, table_of
 
 T_S = np.arange(0.0, 100.0, 0.05)
@@ -139,6 +140,50 @@ def test_an_aid_that_was_refused_often_is_named():
         f"good: {NEAR}, no resets, 33% of the compass's headings refused (its field is not the "
         "Earth's: calibrate mag may help)"
     )
+
+
+def attitude_only(sigma_yaw_deg=2.0, **witness):
+    """Return a report on a log without fixes, and so without a position."""
+    found = reported(**witness)
+    found.track, found.seconds = Track(), {Status.ATTITUDE: 100.0}
+    table = table_of(T_S)
+    for name, values in zip(QUATERNION, turned(TURN).T, strict=True):
+        table.values[:, COLUMNS.index(name) - 1] = values
+    for name, sigma in (("sd_roll", 2.0), ("sd_pitch", 2.0), ("sd_yaw", sigma_yaw_deg)):
+        table.values[:, COLUMNS.index(name) - 1] = np.deg2rad(sigma)
+    for name in GEODETIC:
+        table.values[:, COLUMNS.index(name) - 1] = np.nan
+    table.values[:, COLUMNS.index("status") - 1] = Status.ATTITUDE
+    found.track.add(NONE, table)
+    found.counts[Kind.GNSS] = 0
+    return found
+
+
+def attitude_of(q_nb):
+    """Return a trajectory of attitudes alone, as of an autopilot without a position."""
+    return Trajectory(name="ATT", att_t_ns=np.rint(T_S * SECOND_NS).astype(np.int64), q_nb=q_nb)
+
+
+def test_without_a_position_the_attitude_is_compared_all_the_same():
+    near = judge_log(attitude_only(own=attitude_of(turned(TURN + 1.0, 0.5))))
+    assert near.sentence == (
+        "attitude only: yaw 1.0 deg, tilt 0.5 deg RMS from the autopilot's, no GNSS fix"
+    )
+    far = judge_log(attitude_only(own=attitude_of(turned(TURN + drifted(30.0, 90.0, 53.0)))))
+    assert "yaw up to 5" in far.sentence
+    assert "from the autopilot's at" in far.sentence
+    truth = judge_log(attitude_only(truth=attitude_of(turned(TURN + 20.0))))
+    assert truth.sentence.startswith("attitude only: yaw 20 deg, tilt 0.0 deg RMS from the truth")
+    # with positions of the witness, which there is nothing to compare with
+    assert judge_log(attitude_only(own=other(turned(TURN)))).sentence.startswith(
+        "attitude only: yaw 0.0 deg, tilt 0.0 deg RMS from the autopilot's, no GNSS fix"
+    )
+    assert judge_log(attitude_only()).sentence == "attitude only: no GNSS fix"
+
+
+def test_a_yaw_that_is_not_known_is_not_compared():
+    found = judge_log(attitude_only(100.0, own=attitude_of(turned(TURN + 120.0))))
+    assert found.sentence == "attitude only: tilt 0.0 deg RMS from the autopilot's, no GNSS fix"
 
 
 def test_a_compass_that_is_refused_is_named_beside_a_heading_that_is_not():
