@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import logging
 import secrets
 import socket
+import threading
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,6 +25,10 @@ from ekf_companion.config.service import HttpConfig
 if TYPE_CHECKING:
     from email.message import Message
 
+_log = logging.getLogger(__name__)
+
+WRONG_TOKEN_WAIT = 1.0
+"""Seconds before a wrong token is refused: with its places one address tries eight in that time."""
 _WRONG_NAME = (
     "this is not the name of this computer: ask by its address, or name it in http.names of the "
     "configuration\n"
@@ -39,6 +45,8 @@ class Refusal(NamedTuple):
 
     status: HTTPStatus
     words: str
+    wait: float = 0.0
+    """Seconds to wait before that is said."""
 
 
 class Access:
@@ -58,18 +66,36 @@ class Access:
         """That others than this computer must know."""
         self.cookie = f"ekf_companion_{config.port}"
         """Its cookie's name: cookies do not tell ports apart."""
+        self.wrong_tokens = 0
+        """How many have been offered."""
+        self._lock = threading.Lock()
 
     def refuse(self, headers: Message, query: str, address: str) -> Refusal | None:
         """Return why a request from an address is refused, or None if it is answered."""
         if (host := headers.get("Host")) is not None and not self._is_ours(host):
             return Refusal(HTTPStatus.MISDIRECTED_REQUEST, _WRONG_NAME)
-        if is_loopback(address) or any(map(self.is_token, self._offered(headers, query))):
+        if is_loopback(address):
             return None
-        return Refusal(HTTPStatus.UNAUTHORIZED, _NO_TOKEN)
+        offered = self._offered(headers, query)
+        if any(map(self.is_token, offered)):
+            return None
+        # Who offers none guesses nothing: a browser whose user opened the address without it
+        if offered:
+            self._count_wrong_token(address)
+        wait = WRONG_TOKEN_WAIT if offered else 0.0
+        return Refusal(HTTPStatus.UNAUTHORIZED, _NO_TOKEN, wait)
 
     def is_token(self, word: str) -> bool:
         """Return whether a word is the token."""
         return hmac.compare_digest(word.encode(), self.token.encode())
+
+    def _count_wrong_token(self, address: str) -> None:
+        """Count it, and log the first, tenth, hundredth and so on."""
+        with self._lock:
+            self.wrong_tokens += 1
+            count = self.wrong_tokens
+        if str(count).strip("0") == "1":
+            _log.warning("http: wrong token, %d so far, now from %s", count, address)
 
     def _is_ours(self, host: str) -> bool:
         name = _without_port(host)

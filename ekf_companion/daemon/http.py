@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ekf_companion.config.service import HttpConfig
 from ekf_companion.daemon.access import Access, is_loopback
+from ekf_companion.daemon.places import DEADLINE, Places
 from ekf_companion.daemon.recent_events import RecentEvents
 from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.observer import Observer
@@ -41,12 +42,12 @@ FRESH = 0.2
 """Seconds for which one snapshot serves all requests."""
 HOST_EVERY = 2.0
 """Seconds between two readings of the board."""
-DEADLINE = 5.0
-"""Seconds that one request may take in all; a slower client is disconnected."""
-CONNECTIONS = 16
-"""At once, viewers of the page apart; others are closed unanswered."""
 PACE = 0.02
-"""Seconds between two connections: many clients take no more than a tenth of a processor."""
+"""Seconds between two answers: many clients take no more than a tenth of a processor."""
+REFUSAL_PACE = 0.002
+"""Seconds after one that finds no place: closing it costs little, and others wait behind it."""
+BACKLOG = 128
+"""Connections that the kernel keeps until they are accepted."""
 _POLL = 0.5
 _TAKEN = (
     "http: %s port %d: %s; flying without status and metrics, trying again every %.0f s; "
@@ -147,7 +148,7 @@ class HttpServer:
         self._site: Site | None = None
         self._stop = threading.Event()
         self._listener: socket.socket | None = None
-        self._ends_s: dict[socket.socket, float] = {}
+        self._places: Places[socket.socket] = Places()
         self._thread = threading.Thread(target=self._run, name="http", daemon=True)
         self._thread.start()
 
@@ -188,8 +189,7 @@ class HttpServer:
     def _serve(self, listener: socket.socket) -> None:
         with listener:
             while not self._stop.is_set():
-                self._accept(listener)
-                self._stop.wait(PACE)
+                self._stop.wait(self._accept(listener))
 
     def _announce(self, host: str, port: int) -> None:
         """Log the address to open; with the token where that is needed and nobody knows it."""
@@ -200,20 +200,24 @@ class HttpServer:
         token = self._access.token if self._access.is_generated else "the one of http.token"
         _log.info("From another computer: %s?token=%s", where, token)
 
-    def _accept(self, listener: socket.socket) -> None:
-        """Begin to answer the next connection, and disconnect clients that take too long."""
+    def _accept(self, listener: socket.socket) -> float:
+        """Begin to answer the next connection, and disconnect clients that take too long.
+
+        Returns:
+            Seconds to wait before the next one.
+        """
+        pace = PACE
         with contextlib.suppress(OSError):  # there is none, or it is gone again
             client, address = listener.accept()
-            if len(self._ends_s) < CONNECTIONS:
-                self._ends_s[client] = time.monotonic() + DEADLINE
+            if self._places.take(client, address[0], time.monotonic()):
                 threading.Thread(target=self._answer, args=(client, address), daemon=True).start()
             else:
                 client.close()
-        now_s = time.monotonic()
-        for client, end_s in list(self._ends_s.items()):
-            if now_s > end_s:
-                with contextlib.suppress(OSError):
-                    client.shutdown(socket.SHUT_RDWR)
+                pace = REFUSAL_PACE
+        for client in self._places.late(time.monotonic()):
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+        return pace
 
     def _answer(self, client: socket.socket, address: Any) -> None:
         from ekf_companion.daemon.pages import Handler
@@ -226,14 +230,15 @@ class HttpServer:
                 address,
                 self._site,
                 self._access,
-                lambda: self._ends_s.pop(client, None),
-                self._config,
+                on_line=lambda: self._places.extend(client),
+                on_watch=lambda: self._places.leave(client),
+                config=self._config,
             )
             client.shutdown(socket.SHUT_WR)
         except OSError as error:
             _log.debug("http: %s: %s", address[0], error)
         finally:
-            self._ends_s.pop(client, None)
+            self._places.leave(client)
             client.close()
 
 
@@ -245,7 +250,7 @@ def listen(host: str, port: int) -> socket.socket:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.settimeout(_POLL)
         listener.bind(address)
-        listener.listen(CONNECTIONS)
+        listener.listen(BACKLOG)
     except OSError:
         listener.close()
         raise

@@ -20,7 +20,7 @@ from prometheus_client.exposition import choose_encoder
 
 from ekf_companion.config.service import HttpConfig
 from ekf_companion.daemon import websocket
-from ekf_companion.daemon.access import Access
+from ekf_companion.daemon.access import Access, Refusal
 from ekf_companion.daemon.feed import Feed
 from ekf_companion.daemon.http import PATIENCE, SnapshotSource
 from ekf_companion.daemon.recent_events import RecentEvents
@@ -71,6 +71,8 @@ class Handler(BaseHTTPRequestHandler):
         address: Any,
         site: Site,
         access: Access,
+        *,
+        on_line: Callable[[], object],
         on_watch: Callable[[], object],
         config: HttpConfig,
     ) -> None:
@@ -81,16 +83,22 @@ class Handler(BaseHTTPRequestHandler):
             address: Of the client, as ``accept`` returns it.
             site: What is served.
             access: Decides who is answered.
+            on_line: Called when the request line has come.
             on_watch: Called when the connection becomes a viewer's, which may take longer.
             config: Names the map under the track.
 
         Raises:
             OSError: The client is gone, or too slow.
         """
-        self._site, self._access, self._on_watch = site, access, on_watch
-        self._config = config
+        self._site, self._access, self._config = site, access, config
+        self._on_line, self._on_watch = on_line, on_watch
         self._headers: list[tuple[str, str]] = []
         super().__init__(client, address, None)  # type: ignore[arg-type]  # no server is asked
+
+    def parse_request(self) -> bool:
+        """Read the headers after the request line."""
+        self._on_line()
+        return super().parse_request()
 
     def do_GET(self) -> None:
         """Send the page, for HEAD without its body."""
@@ -120,8 +128,7 @@ class Handler(BaseHTTPRequestHandler):
     def _page(self) -> Answer:
         path, _, query = self.path.partition("?")
         path, accept = unquote(path), self.headers.get("Accept", "")
-        refusal = self._access.refuse(self.headers, query, self.client_address[0])
-        if refusal is not None:
+        if (refusal := self._refusal(query)) is not None:
             return refusal.status, _TEXT, refusal.words.encode()
         if path == "/" and "text/html" in accept:
             return self._front(query)
@@ -132,6 +139,13 @@ class Handler(BaseHTTPRequestHandler):
         if (page := self._site.page(path, accept)) is not None:
             return page
         return HTTPStatus.NOT_FOUND, _TEXT, f"no such page; there are:\n{_INDEX}".encode()
+
+    def _refusal(self, query: str) -> Refusal | None:
+        """Return why the request is refused, or None; a wrong token is told so after a while."""
+        refusal = self._access.refuse(self.headers, query, self.client_address[0])
+        if refusal is not None and refusal.wait:
+            time.sleep(refusal.wait)
+        return refusal
 
     def _front(self, query: str) -> Answer:
         """Return the page; a token in its address moves into a cookie, out of sight."""
@@ -146,10 +160,7 @@ class Handler(BaseHTTPRequestHandler):
     def _watch(self, feed: Feed) -> None:
         """Serve ``/live``, if the request may."""
         self.close_connection = True  # what follows on it is no request
-        refusal = self._access.refuse(
-            self.headers, self.path.partition("?")[2], self.client_address[0]
-        )
-        if refusal is not None:
+        if (refusal := self._refusal(self.path.partition("?")[2])) is not None:
             self._send(refusal.status, _TEXT, refusal.words.encode())
             return
         with feed.watch() as viewer:

@@ -6,7 +6,7 @@ from http import HTTPStatus
 import pytest
 
 from ekf_companion.config.service import HttpConfig
-from ekf_companion.daemon.access import Access
+from ekf_companion.daemon.access import WRONG_TOKEN_WAIT, Access
 
 TOKEN = "tomato-soup"
 HERE, THERE = "127.0.0.1", "192.168.1.7"
@@ -78,3 +78,23 @@ def test_a_token_is_drawn_anew_where_none_is_configured():
     assert len(one.token) >= 16
     assert one.token != other.token
     assert not Access(HttpConfig(token=TOKEN)).is_generated
+
+
+def test_a_wrong_token_is_counted_and_waits_and_the_right_one_does_not(caplog):
+    access = Access(HttpConfig(token=TOKEN), own_name="board7")
+    for number in range(1, 12):
+        found = access.refuse(Message(), "token=tomato", THERE)
+        assert found is not None
+        assert (found.wait, access.wrong_tokens) == (WRONG_TOKEN_WAIT, number)
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines == [f"http: wrong token, {n} so far, now from {THERE}" for n in (1, 10)]
+    assert access.refuse(Message(), f"token={TOKEN}", THERE) is None
+
+
+def test_who_offers_no_token_guesses_nothing():
+    access = Access(HttpConfig(token=TOKEN), own_name="board7")
+    found = access.refuse(Message(), "", THERE)
+    assert found is not None
+    assert (found.wait, access.wrong_tokens) == (0.0, 0)
+    assert access.refuse(Message(), "token=tomato", HERE) is None
+    assert access.wrong_tokens == 0

@@ -15,9 +15,10 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families as parse
 
 from ekf_companion.config.service import HttpConfig
-from ekf_companion.daemon import http
+from ekf_companion.daemon import http, pages, places
 from ekf_companion.daemon.clock import unix_clock
-from ekf_companion.daemon.http import CONNECTIONS, open_http_server
+from ekf_companion.daemon.http import open_http_server
+from ekf_companion.daemon.places import PLACES
 from ekf_companion.status.metrics import PREFIX
 from sim_autopilot.autopilot import Kind
 from tests.daemon.test_daemon import SYSTEM, Daemon, fly_over, free_port, plan
@@ -277,7 +278,7 @@ def test_many_who_ask_at_once_cost_the_loop_one_snapshot(watched):
 
 
 def test_clients_that_dawdle_are_cut_off_and_others_are_served(watched, monkeypatch):
-    monkeypatch.setattr(http, "DEADLINE", 3.0)
+    monkeypatch.setattr(places, "DEADLINE", 3.0)
 
     async def body():
         async with serving(watched) as url:
@@ -289,11 +290,11 @@ def test_clients_that_dawdle_are_cut_off_and_others_are_served(watched, monkeypa
         with contextlib.ExitStack() as stack:
             slow = [
                 stack.enter_context(socket.create_connection(("127.0.0.1", port), 10.0))
-                for _ in range(CONNECTIONS)
+                for _ in range(PLACES)
             ]
             for client in slow:
                 client.sendall(b"GET / HTTP/1.1\r\nX: ")
-            wait_until(lambda: len(watched.server._ends_s) == CONNECTIONS)
+            wait_until(lambda: len(watched.server._places) == PLACES)
             with pytest.raises((OSError, HTTPException)):
                 ask(url)
             wait_until(lambda: is_cut_off(slow[0]))
@@ -311,6 +312,71 @@ def test_clients_that_dawdle_are_cut_off_and_others_are_served(watched, monkeypa
             return ask(url)[0] == 200
 
     asyncio.run(body())
+
+
+def test_a_client_that_sends_no_request_line_is_cut_off_long_before_the_deadline(
+    watched, monkeypatch
+):
+    monkeypatch.setattr(places, "DEADLINE", 1e9)
+    monkeypatch.setattr(http, "DEADLINE", 1e9)
+
+    def dawdle(port):
+        with socket.create_connection(("127.0.0.1", port), LIMIT) as client:
+            client.sendall(b"G")
+            return client.recv(1)
+
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            return await asyncio.to_thread(dawdle, int(url.rpartition(":")[2]))
+
+    assert asyncio.run(body()) == b""
+
+
+def test_strangers_who_dawdle_leave_the_board_its_own_places(watched, monkeypatch):
+    # All clients of a test are of this computer: here its second address stands for a stranger's
+    monkeypatch.setattr(places, "is_loopback", lambda address: address == "127.0.0.1")
+    monkeypatch.setattr(places, "LINE_WAIT", 1e9)
+
+    def ask_beside_strangers(port, url):
+        with contextlib.ExitStack() as stack:
+            for n in range(40):
+                source = (f"127.0.1.{1 + n % 4}", 0)
+                client = socket.create_connection(("127.0.0.1", port), LIMIT, source)
+                stack.enter_context(client).sendall(b"G")
+            wait_until(lambda: len(watched.server._places) == places.PLACES - places.KEPT)
+            return ask(url, "/healthz")[0]
+
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            return await asyncio.to_thread(ask_beside_strangers, int(url.rpartition(":")[2]), url)
+
+    assert asyncio.run(body()) == 200
+
+
+def test_a_wrong_token_waits_for_its_answer(watched, monkeypatch):
+    from ekf_companion.daemon import access
+
+    waits = []
+    monkeypatch.setattr(access, "is_loopback", lambda address: False)
+    monkeypatch.setattr(pages.time, "sleep", waits.append)
+
+    async def body():
+        async with serving(watched) as url:
+            await listening_refused(url)
+            waits.clear()
+            return await asyncio.to_thread(ask, url, "/status?token=tomato")
+
+    async def listening_refused(url):
+        await asyncio.to_thread(wait_until, lambda: refuses(url))
+
+    def refuses(url):
+        with contextlib.suppress(OSError):
+            return ask(url)[0] == 401
+
+    assert asyncio.run(body())[0] == 401
+    assert access.WRONG_TOKEN_WAIT in waits
 
 
 def test_a_port_that_comes_free_is_taken(watched, monkeypatch):
