@@ -247,6 +247,9 @@ class LiveConfig:
     foxglove_port: Annotated[int, Meta(ge=0, le=65535)] = 0
     """Port of this computer, usually 8765, at which Foxglove connects to ws://127.0.0.1:8765 (from
     elsewhere by ssh -L). Needs the extra foxglove. 0: none."""
+    foxglove_origins: tuple[str, ...] = ("https://app.foxglove.dev",)
+    """Sites whose pages may connect there. Programs that are no browser always may; a page of any
+    other site is refused and its origin logged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

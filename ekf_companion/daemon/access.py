@@ -15,6 +15,7 @@ import logging
 import secrets
 import socket
 import threading
+from collections.abc import Collection
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, NamedTuple
@@ -33,6 +34,7 @@ _WRONG_NAME = (
     "this is not the name of this computer: ask by its address, or name it in http.names of the "
     "configuration\n"
 )
+_WRONG_ORIGIN = "a page of another site may not open this\n"
 _NO_TOKEN = (
     "from another computer a token is needed: open the address in the daemon's log (journalctl -u "
     "ekf-companion), which ends in ?token=, or send the header Authorization: Bearer TOKEN\n"
@@ -57,9 +59,7 @@ class Access:
 
         ``own_name`` is this computer's, by default as the system says.
         """
-        name = (socket.gethostname() if own_name is None else own_name).lower()
-        ours = (*_NAMES, config.host, name, f"{name}.local", *config.names)
-        self._names = frozenset(one.lower().rstrip(".") for one in ours if one)
+        self._names = own_names(config, own_name)
         self.is_generated = not config.token
         """Whether the token was drawn here."""
         self.token = config.token or secrets.token_urlsafe(16)
@@ -70,10 +70,15 @@ class Access:
         """How many have been offered."""
         self._lock = threading.Lock()
 
-    def refuse(self, headers: Message, query: str, address: str) -> Refusal | None:
-        """Return why a request from an address is refused, or None if it is answered."""
-        if (host := headers.get("Host")) is not None and not self._is_ours(host):
-            return Refusal(HTTPStatus.MISDIRECTED_REQUEST, _WRONG_NAME)
+    def refuse(
+        self, headers: Message, query: str, address: str, *, is_socket: bool = False
+    ) -> Refusal | None:
+        """Return why a request from an address is refused, or None if it is answered.
+
+        ``is_socket`` is whether it opens a WebSocket.
+        """
+        if (refusal := refuse_site(headers, self._names, is_socket=is_socket)) is not None:
+            return refusal
         if is_loopback(address):
             return None
         offered = self._offered(headers, query)
@@ -97,10 +102,6 @@ class Access:
         if str(count).strip("0") == "1":
             _log.warning("http: wrong token, %d so far, now from %s", count, address)
 
-    def _is_ours(self, host: str) -> bool:
-        name = _without_port(host)
-        return _is_address(name) or name.lower().rstrip(".") in self._names
-
     def _offered(self, headers: Message, query: str) -> list[str]:
         words = parse_qs(query).get("token", [])
         scheme, _, word = headers.get("Authorization", "").partition(" ")
@@ -115,11 +116,50 @@ class Access:
         return words
 
 
+def own_names(config: HttpConfig, own_name: str | None = None) -> frozenset[str]:
+    """Return the names of this computer; ``own_name`` is by default as the system says."""
+    name = (socket.gethostname() if own_name is None else own_name).lower()
+    ours = (*_NAMES, config.host, name, f"{name}.local", *config.names)
+    return frozenset(one.lower().rstrip(".") for one in ours if one)
+
+
+def refuse_site(
+    headers: Message,
+    names: frozenset[str],
+    origins: Collection[str] = (),
+    *,
+    is_socket: bool,
+) -> Refusal | None:
+    """Return why a request could be of another site's page, or None if it is not.
+
+    Args:
+        headers: Of the request.
+        names: Of this computer, beside its addresses.
+        origins: Other sites whose pages may open a WebSocket.
+        is_socket: Whether it opens a WebSocket, which a browser lets any site do.
+    """
+    hosts, sites = headers.get_all("Host", []), headers.get_all("Origin", [])
+    if len(hosts) > 1 or not all(_is_ours(host, names) for host in hosts):
+        return Refusal(HTTPStatus.MISDIRECTED_REQUEST, _WRONG_NAME)
+    if not is_socket or not sites:
+        return None
+    known = {f"{scheme}://{host}".lower() for scheme in ("http", "https") for host in hosts}
+    known.update(one.lower().rstrip("/") for one in origins)
+    if len(sites) == 1 and sites[0].strip().lower() in known:
+        return None
+    return Refusal(HTTPStatus.FORBIDDEN, _WRONG_ORIGIN)
+
+
 def is_loopback(address: str) -> bool:
     """Return whether an address is of this computer alone."""
     found = ipaddress.ip_address(address.partition("%")[0])
     mapped = getattr(found, "ipv4_mapped", None)
     return bool((mapped or found).is_loopback)
+
+
+def _is_ours(host: str, names: frozenset[str]) -> bool:
+    name = _without_port(host)
+    return _is_address(name) or name.lower().rstrip(".") in names
 
 
 def _without_port(host: str) -> str:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 from ekf_companion.config.config import Config
 from ekf_companion.daemon import logging as log
+from ekf_companion.daemon.access import own_names
 from ekf_companion.daemon.bandwidth import capacity, overloads
 from ekf_companion.daemon.checkpoint_file import open_checkpoint_file, open_parameter_file
 from ekf_companion.daemon.clock import read_clocks, unix_clock
@@ -159,7 +160,7 @@ class Daemon:
         logging.root.addHandler(self._events)
         loop = asyncio.get_running_loop()
         self._http = open_http_server(config.http, self._observer, loop, self._events)
-        self._exporters = open_exporters(config.live, self._observer, loop)
+        self._exporters = open_exporters(config.live, self._observer, loop, own_names(config.http))
         self._systemd = Systemd()
         self._freshness = Freshness()
 

@@ -16,13 +16,16 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from email.message import Message
 from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
 from ekf_companion.config.service import LiveConfig
+from ekf_companion.daemon.access import Refusal, refuse_site
 from ekf_companion.daemon.feed import Feed
+from ekf_companion.daemon.gate import Address, Gate, hidden_host
 from ekf_companion.daemon.http import SnapshotSource
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
@@ -32,6 +35,8 @@ _log = logging.getLogger(__name__)
 
 NAME = "ekf_companion"
 _WAIT = 0.5
+_MOST_REFUSED = 8
+"""Pages whose refusal is logged."""
 _PREFIX, _SUFFIX = b'{"live":', b"}"
 
 
@@ -101,16 +106,24 @@ class UdpSink:
 class FoxgloveSink:
     """Serves Foxglove: all numbers, both positions, and the pose as a transform."""
 
-    def __init__(self, foxglove: Any, port: int) -> None:
-        """Listen on a port of this computer."""
+    def __init__(
+        self, foxglove: Any, port: int, refuse: Callable[[Message], Refusal | None]
+    ) -> None:
+        """Listen on a port of this computer; ``refuse`` says why a request is refused, or None."""
         from foxglove import messages
 
         self._messages = messages
         # A context of its own: what else in this process logs to Foxglove is not ours
         self._context = foxglove.Context()
+        host = hidden_host()
         self._server = foxglove.start_server(
-            name="ekf-companion", host="127.0.0.1", port=port, context=self._context
+            name="ekf-companion", host=host, port=0, context=self._context
         )
+        try:
+            self._gate = Gate(port, Address(host, self._server.port), refuse)
+        except OSError:
+            self._server.stop()
+            raise
         self._foxglove = foxglove
         self._channels: dict[str, Any] = {}
         self._frame: LocalFrame | None = None
@@ -127,6 +140,7 @@ class FoxgloveSink:
 
     def close(self) -> None:
         """End the server."""
+        self._gate.close()
         self._server.stop()
 
     def _channel(self, topic: str, kind: str = "", *, json: bool = False) -> Any:
@@ -173,16 +187,19 @@ class FoxgloveSink:
 
 
 def open_exporters(
-    config: LiveConfig, observer: Observer, loop: asyncio.AbstractEventLoop
+    config: LiveConfig,
+    observer: Observer,
+    loop: asyncio.AbstractEventLoop,
+    names: frozenset[str] = frozenset(),
 ) -> list[Exporter]:
-    """Start what the configuration asks for."""
+    """Start what the configuration asks for; ``names`` are this computer's, beside localhost."""
     source = SnapshotSource(observer, loop)
     feed = Feed(lambda _: {"live": source.read_live()})
     exporters = []
     if address := config.udp_json:
         exporters.append(Exporter("udp-json", lambda: _open_udp(address), feed))
-    if port := config.foxglove_port:
-        exporters.append(Exporter("foxglove", lambda: _open_foxglove(port), feed))
+    if config.foxglove_port:
+        exporters.append(Exporter("foxglove", lambda: _open_foxglove(config, names), feed))
     return exporters
 
 
@@ -194,7 +211,18 @@ def _open_udp(address: str) -> Sink | None:
         return None
 
 
-def _open_foxglove(port: int) -> Sink | None:
+def _open_foxglove(config: LiveConfig, names: frozenset[str]) -> Sink | None:
+    port, refused = config.foxglove_port, set[str]()
+
+    def refuse(headers: Message) -> Refusal | None:
+        refusal = refuse_site(headers, names, config.foxglove_origins, is_socket=True)
+        if refusal is not None and len(refused) < _MOST_REFUSED:
+            who = f"{headers.get('Origin')!r:.80} by the name {headers.get('Host')!r:.80}"
+            if who not in refused:
+                refused.add(who)
+                _log.warning("live.foxglove_port: refused a page of %s: see foxglove_origins", who)
+        return refusal
+
     try:
         import foxglove
     except ImportError:
@@ -204,7 +232,7 @@ def _open_foxglove(port: int) -> Sink | None:
         )
         return None
     try:
-        sink = FoxgloveSink(foxglove, port)
+        sink = FoxgloveSink(foxglove, port, refuse)
     except Exception as error:  # noqa: BLE001  # the library names no type for a port that is taken
         _log.warning("live.foxglove_port: %d: %s; flying without it", port, error)
         return None

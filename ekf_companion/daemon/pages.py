@@ -140,9 +140,11 @@ class Handler(BaseHTTPRequestHandler):
             return page
         return HTTPStatus.NOT_FOUND, _TEXT, f"no such page; there are:\n{_INDEX}".encode()
 
-    def _refusal(self, query: str) -> Refusal | None:
+    def _refusal(self, query: str, *, is_socket: bool = False) -> Refusal | None:
         """Return why the request is refused, or None; a wrong token is told so after a while."""
-        refusal = self._access.refuse(self.headers, query, self.client_address[0])
+        refusal = self._access.refuse(
+            self.headers, query, self.client_address[0], is_socket=is_socket
+        )
         if refusal is not None and refusal.wait:
             time.sleep(refusal.wait)
         return refusal
@@ -160,7 +162,7 @@ class Handler(BaseHTTPRequestHandler):
     def _watch(self, feed: Feed) -> None:
         """Serve ``/live``, if the request may."""
         self.close_connection = True  # what follows on it is no request
-        if (refusal := self._refusal(self.path.partition("?")[2])) is not None:
+        if (refusal := self._refusal(self.path.partition("?")[2], is_socket=True)) is not None:
             self._send(refusal.status, _TEXT, refusal.words.encode())
             return
         with feed.watch() as viewer:

@@ -14,7 +14,6 @@ from email.message import Message
 from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.server import ServerProtocol
-from websockets.typing import Origin
 
 from ekf_companion.daemon.feed import Viewer
 
@@ -33,12 +32,12 @@ _LARGEST = 1024
 def serve(client: socket.socket, path: str, headers: Message, viewer: Viewer) -> None:
     """Open the WebSocket that a request asks for, and send until either end closes.
 
+    Whether the request may, :func:`ekf_companion.daemon.access.refuse_site` has decided.
+
     Raises:
         OSError: The client is gone, or too slow.
     """
-    host = headers.get("Host", "")
-    origins = [Origin(f"http://{host}"), Origin(f"https://{host}"), None]
-    protocol = ServerProtocol(origins=origins, max_size=_LARGEST, logger=_log)
+    protocol = ServerProtocol(max_size=_LARGEST, logger=_log)
     head = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
     protocol.receive_data(f"GET {path} HTTP/1.1\r\n{head}\r\n".encode("latin-1"))
     for request in protocol.events_received():

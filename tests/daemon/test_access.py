@@ -1,12 +1,13 @@
 """Whom the HTTP server answers."""
 
+from email import message_from_string
 from email.message import Message
 from http import HTTPStatus
 
 import pytest
 
 from ekf_companion.config.service import HttpConfig
-from ekf_companion.daemon.access import WRONG_TOKEN_WAIT, Access
+from ekf_companion.daemon.access import WRONG_TOKEN_WAIT, Access, own_names, refuse_site
 
 TOKEN = "tomato-soup"
 HERE, THERE = "127.0.0.1", "192.168.1.7"
@@ -98,3 +99,34 @@ def test_who_offers_no_token_guesses_nothing():
     assert (found.wait, access.wrong_tokens) == (0.0, 0)
     assert access.refuse(Message(), "token=tomato", HERE) is None
     assert access.wrong_tokens == 0
+
+
+@pytest.mark.parametrize(
+    ("lines", "status"),
+    [
+        ("Host: 127.0.0.1:8765", None),
+        ("Host: localhost:8765\nOrigin: http://localhost:8765", None),
+        ("Host: 127.0.0.1:8765\nOrigin: https://app.example", None),
+        ("Host: 127.0.0.1:8765\nOrigin: https://evil.example", HTTPStatus.FORBIDDEN),
+        ("Host: 127.0.0.1:8765\nOrigin: http://127.0.0.1:80", HTTPStatus.FORBIDDEN),
+        ("Host: 127.0.0.1:8765\nOrigin: null", HTTPStatus.FORBIDDEN),
+        ("Host: 127.0.0.1:8765\nOrigin: ", HTTPStatus.FORBIDDEN),
+        ("Host: 127.0.0.1:8765\nOrigin: https://app.example.evil", HTTPStatus.FORBIDDEN),
+        ("Host: 127.0.0.1:8765\nOrigin: https://app.example:444", HTTPStatus.FORBIDDEN),
+        (
+            "Host: 127.0.0.1:8765\nOrigin: https://app.example\nOrigin: https://evil.example",
+            HTTPStatus.FORBIDDEN,
+        ),
+        ("Origin: http://", HTTPStatus.FORBIDDEN),
+        (
+            "Host: evil.example\nOrigin: http://evil.example",
+            HTTPStatus.MISDIRECTED_REQUEST,
+        ),
+        ("Host: 127.0.0.1\nHost: evil.example", HTTPStatus.MISDIRECTED_REQUEST),
+    ],
+)
+def test_a_page_of_another_site_opens_no_socket(lines, status):
+    headers = message_from_string(lines + "\n\n")
+    names = own_names(HttpConfig(), "board7")
+    found = refuse_site(headers, names, ("https://app.example/",), is_socket=True)
+    assert (None if found is None else found.status) is status

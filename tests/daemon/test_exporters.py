@@ -83,6 +83,33 @@ def test_foxglove_is_offered_the_numbers():
                     topics |= {one["topic"] for one in found.get("channels", [])}
 
 
+@pytest.mark.parametrize(
+    ("origin", "host"),
+    [("https://evil.example", None), ("null", None), ("http://evil.example", "evil.example")],
+)
+def test_foxglove_is_no_page_of_another_site(origin, host, caplog):
+    """A browser lets any page open a WebSocket to this computer: it would read where we are."""
+    pytest.importorskip("foxglove")
+    port = free_port(socket.SOCK_STREAM)
+    with exporting(foxglove_port=port):
+        wait_until(lambda: "Foxglove on" in caplog.text or is_open(port))
+        with socket.create_connection(("127.0.0.1", port), LIMIT) as client:
+            client.sendall(
+                f"GET / HTTP/1.1\r\nHost: {host or f'127.0.0.1:{port}'}\r\nOrigin: {origin}\r\n"
+                "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n"
+                "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
+            )
+            answer = b"".join(iter(lambda: client.recv(4096), b""))
+    assert answer.startswith(b"HTTP/1.1 421" if host else b"HTTP/1.1 403")
+    assert f"refused a page of '{origin}'" in caplog.text
+
+
+def is_open(port):
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), LIMIT):
+        return True
+
+
 def test_a_port_of_foxglove_that_is_taken_is_told_and_ends_nothing(caplog):
     pytest.importorskip("foxglove")
     with (
