@@ -6,7 +6,9 @@ more than a moment.
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -74,7 +76,10 @@ def read_yaml(path: Path, *, is_watched: bool = True) -> Any:
         ConfigError: It cannot be read, is empty, too large, cut off or no YAML.
     """
     try:
-        with path.open("rb") as file:
+        # A FIFO opens once somebody writes, a terminal ends once somebody types
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ConfigError(f"{path}: is not a regular file; name a YAML file")
             data = file.read(LARGEST + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error

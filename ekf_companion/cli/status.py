@@ -94,7 +94,7 @@ def fetch(url: str) -> Answer:
         if error.headers.get_content_type() != "text/plain":
             return Answer(NO_DAEMON, _FOREIGN.format(where), {})
         return Answer(NOT_OK, error.read().decode(errors="replace").strip(), {})
-    except (ValueError, LookupError, TypeError, HTTPException):
+    except (ValueError, LookupError, TypeError, RecursionError, HTTPException):
         return Answer(NO_DAEMON, _FOREIGN.format(where), {})
     except OSError as error:
         reason = getattr(error, "reason", error)

@@ -155,7 +155,7 @@ class Tuning:
     def _recall(self, data: bytes, name: str) -> None:
         try:
             kept = msgspec.json.decode(data, type=dict[str, object])
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, RecursionError):
             _log.warning("%s: holds no parameters; those of the configuration count", name)
             return
         for key, value in kept.items():

@@ -1,9 +1,10 @@
 """The configuration: what the files in config/ say, and what is refused with which sentence."""
 
+import os
 import re
+import socket
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -269,11 +270,33 @@ def test_a_file_of_aliases_to_aliases_is_refused_before_it_is_unfolded(tmp_path)
 
 
 def test_a_file_larger_than_any_configuration_is_not_read(tmp_path):
-    for path in (tmp_path / "large.yaml", Path("/dev/zero")):
-        if path.parent == tmp_path:
-            path.write_text("# comment\n" * 20_000)
-        with pytest.raises(ConfigError, match="is larger than 128 KiB, too large for settings"):
-            load_config(path)
+    path = tmp_path / "large.yaml"
+    path.write_text("# comment\n" * 20_000)
+    with pytest.raises(ConfigError, match="is larger than 128 KiB, too large for settings"):
+        load_config(path)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("kind", ["fifo", "link to a fifo", "loop", "folder", "device", "socket"])
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path, kind):
+    """Opening a FIFO waits for who writes to it: the thread of a reload would never end."""
+    path = tmp_path / "quad.yaml"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "loop":
+        path.symlink_to(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(str(path))
+    elif kind == "fifo":
+        os.mkfifo(path)
+    else:
+        os.mkfifo(tmp_path / "fifo")
+        path.symlink_to(tmp_path / "fifo")
+    with pytest.raises(ConfigError, match=r"quad\.yaml: (is not a regular|cannot be read)"):
+        load_config(path)
 
 
 def test_a_file_that_is_cut_off_within_a_line_is_refused(tmp_path):

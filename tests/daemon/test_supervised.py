@@ -209,23 +209,66 @@ def test_a_file_that_cannot_even_be_read_ends_the_reload_too(tmp_path, text):
         assert "Traceback" not in daemon.words.read_text()
 
 
-def test_a_file_that_does_not_end_is_not_waited_for(tmp_path):
+def test_a_fifo_as_configuration_ends_no_later_reload(tmp_path):
     with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{free_port()}") as daemon:
         daemon.wait_for(": open")
         daemon.config.unlink()
-        os.mkfifo(daemon.config)  # opens once somebody writes
+        os.mkfifo(daemon.config)
         daemon.hang_up()
-        daemon.wait_for("the configuration could not be read within 3 s; all stays as it was")
-        daemon.hang_up()
-        daemon.wait_for("the configuration is still being read; wait for that; all stays as it was")
-        with daemon.config.open("w") as file:
-            file.write("baro: {std: 1.0}\n")  # too late
+        daemon.wait_for("config.yaml: is not a regular file; name a YAML file")
         daemon.config.unlink()
         daemon.config.write_text("baro: {std: 2.0}\n")
-        while "Taken: baro.std: 0.5 -> 2.0" not in daemon.words.read_text():
-            daemon.hang_up()
-            time.sleep(0.1)
+        daemon.hang_up()
+        daemon.wait_for("Taken: baro.std: 0.5 -> 2.0")
         assert daemon.stop() == 0
+
+
+SLOW = """
+import logging, sys
+from dataclasses import replace
+from ekf_companion.daemon import daemon
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import HttpConfig, LinkConfig
+
+config = Config(link=LinkConfig(url="udpin:127.0.0.1:{port}"), http=HttpConfig(port=0))
+first, other = (replace(config, baro=replace(config.baro, std=std)) for std in (1.0, 2.0))
+logging.basicConfig(level=logging.INFO)
+
+def read_all():
+    yield config
+    open("{share}").close()  # a share that is gone answers when it is back
+    yield first
+    while True:
+        yield other
+
+reads = read_all()
+daemon.run(lambda: next(reads))
+"""
+
+
+def test_a_file_that_does_not_end_is_not_waited_for(tmp_path):
+    share = tmp_path / "share"
+    os.mkfifo(share)
+    command = [sys.executable, "-c", SLOW.format(port=free_port(), share=share)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as it:
+        assert it.stderr is not None
+
+        def wait_for(words):
+            assert any(words in line for line in it.stderr)
+
+        wait_for(": open")
+        it.send_signal(signal.SIGHUP)
+        wait_for("the configuration could not be read within 3 s; all stays as it was")
+        it.send_signal(signal.SIGHUP)
+        wait_for("the configuration is still being read; wait for that; all stays as it was")
+        share.write_text("too late")
+        for line in it.stderr:
+            if "Taken: baro.std: 0.5 -> 2.0" in line:
+                break
+            it.send_signal(signal.SIGHUP)
+        it.send_signal(signal.SIGTERM)
+        it.stderr.read()
+    assert it.returncode == 0
 
 
 BUG = """

@@ -116,6 +116,8 @@ def test_a_guard_that_was_lifted_over_the_link_is_set_again_at_the_next_start(ca
         (b"", "holds no parameters"),
         (b"\xff\x00", "holds no parameters"),
         (b"[1]", "holds no parameters"),
+        (b'{"baro.std": ' + b"[" * 100_000 + b"]" * 100_000 + b"}", "holds no parameters"),
+        (b'{"a": ' * 100_000 + b"1" + b"}" * 100_000, "holds no parameters"),
         (b'{"old.key": 1}', "old.key: is no parameter any more; dropped"),
         (b'{"link.url": "tcp:evil:1"}', "link.url: is no parameter any more; dropped"),
         (b'{"baro.std": -1.0}', "baro.std: -1.0"),
