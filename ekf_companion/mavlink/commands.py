@@ -14,7 +14,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.heartbeat import Heartbeat
+from ekf_companion.mavlink.heartbeat import APART_NS, Heartbeat
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
@@ -110,6 +110,8 @@ class Commands(Service):
         self._heartbeat = heartbeat
         self._streams: dict[str, Stream] = {}
         self._commanded: dict[str, _CommandedRate] = {}
+        self._requested_ns: dict[str, int] = {}
+        """When each message was last sent, or made due, on request."""
 
     def offer(self, name: str, stream: Stream) -> None:
         """Offer a message to be requested, or change the offer."""
@@ -181,7 +183,10 @@ class Commands(Service):
         if message == "HEARTBEAT":
             is_sent = self._heartbeat.request(now_ns)
             return Result.ACCEPTED if is_sent else Result.TEMPORARILY_REJECTED
-        elif message in _IDENTITY:
+        # MESSAGE_INTERVAL is about as small as its request, and asked for by message
+        if message != "MESSAGE_INTERVAL" and self._is_early(message, now_ns):
+            return Result.TEMPORARILY_REJECTED
+        if message in _IDENTITY:
             self._outbox.send(message, _IDENTITY[message], now_ns)
         elif message == "MESSAGE_INTERVAL":
             self._outbox.send(message, self._interval(_whole(param2)), now_ns)
@@ -189,7 +194,13 @@ class Commands(Service):
             return Result.UNSUPPORTED
         elif not self._streams[message].request():
             return Result.TEMPORARILY_REJECTED
+        self._requested_ns[message] = now_ns
         return Result.ACCEPTED
+
+    def _is_early(self, message: str, now_ns: int) -> bool:
+        """Whether a message was requested a moment ago, by anybody: all on the link have got it."""
+        last_ns = self._requested_ns.get(message)
+        return last_ns is not None and 0 <= now_ns - last_ns < APART_NS
 
     def _interval(self, message_id: int) -> bytes:
         """Return the payload of MESSAGE_INTERVAL: 0 for what is never sent, -1 for what is off."""

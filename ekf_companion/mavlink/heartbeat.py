@@ -17,7 +17,7 @@ from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
 _ECHOES = 32
 """An echo may be so many heartbeats old: no router holds one back for longer."""
-_APART_NS = SECOND_NS // 4
+APART_NS = SECOND_NS // 4
 """Between a requested one and the last: with those in turn, the echoes of 6 s are known."""
 _AGAIN_NS = 30 * SECOND_NS
 """Between two warnings of a clash."""
@@ -48,7 +48,7 @@ class Heartbeat(Service):
 
     def request(self, now_ns: int) -> bool:
         """Send one out of turn; False: one was sent a moment ago."""
-        if self._last_ns is not None and now_ns - self._last_ns < _APART_NS:
+        if self._last_ns is not None and now_ns - self._last_ns < APART_NS:
             return False
         self.send(now_ns)
         return True

@@ -91,6 +91,44 @@ def test_rule_31_a_message_of_the_estimate_is_asked_of_the_filter():
     assert result(command(session, who, REQUEST, param1=STATUS)) == TEMPORARILY_REJECTED
 
 
+@pytest.mark.parametrize(
+    "message",
+    [
+        *("ODOMETRY", "ESTIMATOR_STATUS", "AUTOPILOT_VERSION"),
+        *("COMPONENT_INFORMATION_BASIC", "PROTOCOL_VERSION"),
+    ],
+)
+@pytest.mark.parametrize("period_ms", [0, 1, 5, 25])
+def test_a_message_that_is_requested_all_the_time_comes_four_times_a_second(message, period_ms):
+    """Else ODOMETRY comes with each sample, 60 kB/s, and a radio is full."""
+    session, who, asked = served()
+    answers = []
+    for n in range(1000):
+        t_ns = n * period_ms * SECOND // 1000
+        # By several in turn: the link is one
+        target = {"target_system": 1, "target_component": 194 if n % 2 else 0}
+        session.receive(
+            who.say("COMMAND_LONG", command=REQUEST, param1=IDS[message], **target), t_ns
+        )
+        said = sent(session)
+        answers.append(result(said))
+        asked += [type(one).__name__ for one in said if type(one).__name__ == message]
+    assert answers.count(ACCEPTED) == len(asked) == max(4 * period_ms, 1)
+    assert set(answers) == {ACCEPTED, TEMPORARILY_REJECTED}
+
+
+def test_a_request_that_found_nothing_to_send_may_be_repeated_at_once():
+    session, who, _ = served(has_estimate=False)
+    assert result(command(session, who, REQUEST, param1=ODOMETRY)) == TEMPORARILY_REJECTED
+    session.commands.offer(
+        "ODOMETRY",
+        Stream(rate=30.0, smallest=1.0, largest=50.0, request=lambda: True),
+    )
+    assert result(command(session, who, REQUEST, param1=ODOMETRY)) == ACCEPTED
+    # And each message has a time of its own
+    assert result(command(session, who, REQUEST, param1=IDS["AUTOPILOT_VERSION"])) == ACCEPTED
+
+
 @pytest.mark.parametrize("message_id", [0.5, -1.0, 1e9, math.nan, math.inf, 32.0, 105.0, 70000.0])
 def test_rule_31_a_message_that_is_not_ours_is_unsupported(message_id):
     """Rule 31."""
