@@ -263,6 +263,7 @@ class Run(Generic[P]):
             report.left_out = list(of_telemetry(report.refused, report.counts))
             report.stamps = stamps_of_telemetry(report.refused, report.counts)
         report.notes += [one.note for one in report.left_out]
+
     @property
     def autopilot(self) -> Autopilot | None:
         """The autopilot of a .tlog that was listened to for most of it; None: there is none."""

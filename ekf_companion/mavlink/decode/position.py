@@ -91,7 +91,6 @@ class Position:
         out = self._read(self._first, m)
         return self._with_heading(self._first, out, m)
 
-
     def gps2_raw(self, frame: Frame) -> Measurements:
         """Read GPS2_RAW: a receiver that stands by, for the filter to go to.
 
