@@ -14,6 +14,7 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array
 
 JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
+_SCORED = (Verdict.FUSED, Verdict.GATED, Verdict.DENIED)
 
 
 class Likelihood:
@@ -71,5 +72,5 @@ class Likelihood:
             pipeline.run(recording.events.take(np.arange(first, last)))
             sums.append(pipeline.log_likelihood)
             verdicts = [pipeline.health().verdicts[aid] for aid in JUDGED]
-            counts.append(sum(one[Verdict.FUSED] + one[Verdict.GATED] for one in verdicts))
+            counts.append(sum(one[why] for one in verdicts for why in _SCORED))
         return np.diff(sums), counts[-1] - counts[0]

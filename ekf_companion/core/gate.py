@@ -116,8 +116,7 @@ def fuse_judged(
     soft = k.soft_gate[o.rows - 1]
     x.ratio[aid] = nis / hard
     x.is_denied[aid] = 1.0 if is_denied else 0.0
-    if not isnan(nis):
-        x.nis_sum[aid] += (nis if nis < hard else hard) / o.rows
+    x.nis_sum[aid] += (nis if nis < hard and not is_denied else hard) / o.rows
     x.nis_n[aid] += 1.0
     if is_denied or not nis <= hard:
         count_judged(x, aid, VERDICT_DENIED if nis <= hard else VERDICT_GATED)

@@ -585,7 +585,7 @@ class State:
     is_denied: Annotated[Vector, AIDS]
     """Other evidence said that it was wrong, whatever its ratio is."""
     nis_sum: Annotated[Vector, AIDS]
-    """Of NIS per degree of freedom, each at most its gate."""
+    """Of NIS per degree of freedom; what is refused counts as its gate."""
     nis_n: Annotated[Vector, AIDS]
     count: Annotated[Vector, AIDS, VERDICTS]
     """What became of how many."""

@@ -143,8 +143,9 @@ def test_rule_21_no_stamp_is_repeated_however_often_it_is_asked_for():
     part = flown.fly(3.0, lambda now_ns: wish * 3)
     stamps = [m.time_usec for m in named("ODOMETRY", flown.said)]
     assert all(after > before for before, after in itertools.pairwise(stamps))
-    assert len(named("ODOMETRY", part)) > 200  # one a sample, at 250 Hz
-    assert {m.result for m in named("COMMAND_ACK", part)} == {0}
+    asked = [m.result for m in named("COMMAND_ACK", part)]
+    assert set(asked) == {0, 1}  # four times a second, whoever asks; else temporarily rejected
+    assert asked.count(0) in {4, 5}  # in the last second of the flight
 
 
 def test_rule_31_an_interval_is_obeyed_at_once():

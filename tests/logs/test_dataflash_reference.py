@@ -164,7 +164,7 @@ def test_of_two_generations_that_run_the_one_in_use_is_compared_with(read, used,
 
 def test_an_origin_in_the_log_holds_until_the_next(read):
     log = Log()
-    ways = [(0.0, straight((0, 0), 5, 20)), (20.0, straight((100, 0), 5, 20))]
+    ways = [(1.0, straight((0, 0), 5, 20)), (21.0, straight((100, 0), 5, 20))]
     for first_s, path in ways:
         lat, lon, alt = degrees(*path[0])
         log.row("ORGN", round(first_s * 1000), 0, lat, lon, alt)

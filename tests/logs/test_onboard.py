@@ -7,6 +7,7 @@ import pytest
 
 from ekf_companion.logs import dataflash, tlog, tlog_text, ulog_messages
 from ekf_companion.logs.onboard import LONGEST, MOST, clean
+from ekf_companion.logs.tlog_senders import autopilot_of
 from ekf_companion.mavlink.codec import Sender, pack
 from tests.logs.test_dataflash import Writer
 
@@ -100,7 +101,7 @@ def telemetry(tmp_path, *messages):
     stamps = (struct.pack(">Q", 1_700_000_000_000_000 + 1_000_000 * i) for i in range(len(frames)))
     path.write_bytes(b"".join(a + b for a, b in zip(stamps, frames, strict=True)))
     log = tlog.read(path)
-    return tlog_text.read(log, log.autopilot)
+    return tlog_text.read(log, autopilot_of(log))
 
 
 def test_a_telemetry_log_says_them_too_with_long_texts_put_together(tmp_path):
