@@ -49,7 +49,7 @@ class Inertial:
         self.instances = Preference(_STARVING)
         self.last_us = -1
         self._is_marked = False
-        """Whether HIGHRES_IMU has marked anything as new: then it marks each new sample."""
+        """Whether HIGHRES_IMU has said of a sample that it is new: then it says so of each."""
         self._unmarked: Sample | None = None
         self.begin_stream()
 
@@ -89,7 +89,7 @@ class Inertial:
         if rank != was:
             self._note_instance(instance, is_better=rank < was)
         sample = (gx, gy, gz, ax, ay, az)
-        if updated:
+        if updated & ACCEL_GYRO:
             self._is_marked = True
         elif self._is_unmarked(sample):
             updated = ACCEL_GYRO | MAG | PRESSURE
