@@ -73,6 +73,10 @@ class Verdict:
     """The last status."""
 
 
+WORDS = ("status", "reasons")
+"""Columns of an estimate that hold words."""
+
+
 def read_estimate(path: Path, stamp_us: Array) -> Estimate:
     """Read the rows of a converted log that are nearest to given stamps.
 
@@ -90,7 +94,7 @@ def read_estimate(path: Path, stamp_us: Array) -> Estimate:
     status = np.where(is_near, [rows[i][status_at] for i in nearest], "")
     columns = {}
     for column, name in enumerate(header):
-        if column != status_at:
+        if name not in WORDS:
             cells = [rows[i][column] for i in nearest]
             column_values = np.array([float(cell) if cell else np.nan for cell in cells])
             columns[name] = np.where(is_near, column_values, np.nan)
