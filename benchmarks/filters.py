@@ -21,6 +21,7 @@ from benchmarks.campaign import (
     fly,
 )
 from benchmarks.document import Part, is_there, of_flights, of_logs, table
+from benchmarks.gaps import gaps
 from benchmarks.matched import matched
 from benchmarks.recorded import TRUTH, recorded
 from ekf_companion.analysis import comparison
@@ -220,6 +221,7 @@ PARTS: dict[str, Part] = {
     "campaign": of_flights(campaign),
     "attitude": of_logs(attitude),
     "walks": of_logs(walks),
+    "gaps": of_logs(gaps),
 }
 
 

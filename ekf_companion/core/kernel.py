@@ -70,12 +70,17 @@ from cython.cimports.ekf_companion.core.rest import (
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Event, ImuRow, Motion, Scratch
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.libc.math import fabs
+from cython.cimports.libc.math import fabs, sqrt, tanh
 
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
-BLIND = cython.declare(cython.double, 0.5)
-"""Longest interval between samples, s, over which motion is interpolated."""
+MOTION_TIME = cython.declare(cython.double, 0.4)
+"""Time over which a vehicle's rate and force are correlated, s: what two samples say of the motion
+between them fades with it (measured on recorded flights: ``benchmarks/gaps.py``)."""
+RATE_STD = cython.declare(cython.double, 0.5)
+"""One sigma of the rate of a vehicle that is flown hard, rad/s, if both ends show no more."""
+FORCE_STD = cython.declare(cython.double, 6.7)
+"""The same of its specific force beside that of a vehicle at rest, m/s^2."""
 COVARIANCE_INTERVAL = cython.declare(cython.double, 0.0095)
 """Interval at which P is carried on, s: 10 ms, give or take the samples' jitter."""
 LARGEST_TURN = cython.declare(cython.double, 4.0)
@@ -122,7 +127,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
                 tape.record_event(x, w)
     if span > k.gap:
         carry_on(x, k, w)
-        inflate_after_gap(x, k, span, is_gap)
+        inflate_after_gap(x, k, span, shown_rate(x, imu), is_gap)
         yaw_frame.restart(address(x.yaw_bank))
         if w.tape.is_on:
             tape.record_gap(x, w)
@@ -181,12 +186,12 @@ def find_interval_motion(x: State, k: Parameters, m: Motion, imu: ImuRow, span: 
     is_regular = cython.declare(cython.bint, span <= 1.5 * x.dt)
     for i in range(3):
         turn += imu.gyro[i] * imu.gyro[i]
-    if span > BLIND or turn * span * span > LARGEST_TURN:
-        assume_no_motion(x, k, m)
+    if turn * span * span > LARGEST_TURN:
+        find_lost_motion(x, k, m, imu, 0.0)
         is_regular = False
-        for i in range(3):
-            m.mean[i] = x.gyro[i]
-            m.mean[3 + i] = x.accel[i]
+    elif span > k.gap:
+        find_lost_motion(x, k, m, imu, MOTION_TIME / span * tanh(0.5 * span / MOTION_TIME))
+        is_regular = False
     else:
         for i in range(3):
             m.mean[i] = imu.gyro[i]
@@ -202,12 +207,22 @@ def find_interval_motion(x: State, k: Parameters, m: Motion, imu: ImuRow, span: 
             m.force_slope[i] = (imu.accel[i] - x.accel[i]) / span
 
 
-def assume_no_motion(x: State, k: Parameters, m: Motion) -> None:
-    """Assume no turn and no acceleration over a time too long for one sample to describe."""
+def find_lost_motion(x: State, k: Parameters, m: Motion, imu: ImuRow, share: float) -> None:
+    """Write the mean rate and force expected over a time from the samples at both its ends.
+
+    Args:
+        x: The state at the begin, with the sample there.
+        k: The parameters.
+        m: Receives the mean.
+        imu: The sample at the end.
+        share: What each end counts beside no turn and no acceleration; 0.5: the mean of both.
+    """
     to_dcm(x.q_nb, m.C_nb)
     for i in range(3):
-        x.gyro[i] = x.gyro_bias[i]
-        x.accel[i] = x.accel_bias[i] - k.gravity * m.C_nb[2][i]
+        rate = x.gyro_bias[i]
+        force = x.accel_bias[i] - k.gravity * m.C_nb[2][i]
+        m.mean[i] = rate + share * (x.gyro[i] + imu.gyro[i] - 2.0 * rate)
+        m.mean[3 + i] = force + share * (x.accel[i] + imu.accel[i] - 2.0 * force)
 
 
 def keep_sample(x: State, imu: ImuRow) -> None:
@@ -315,7 +330,7 @@ def recover(x: State, k: Parameters, good: State, t: float) -> None:
     gate.begin_reset(x, RESET_BOUNDS)
     x.t = t
     x.restored_t = t
-    inflate_after_gap(x, k, (t - good.t) * 1e-9, False)
+    inflate_after_gap(x, k, (t - good.t) * 1e-9, 0.0, False)
 
 
 def start_over(x: State, t: float, reason: float) -> None:
@@ -355,16 +370,33 @@ def start_over(x: State, t: float, reason: float) -> None:
     start(x, t)
 
 
-def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> None:
+def shown_rate(x: State, imu: ImuRow) -> float:
+    """Return the RMS of the rates at both ends of a gap, per axis, rad/s."""
+    power = 0.0
+    for i in range(3):
+        power += x.gyro[i] * x.gyro[i] + imu.gyro[i] * imu.gyro[i]
+    return sqrt(power / 6.0)
+
+
+def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap: bool) -> None:
     """Inflate P by what may have happened while no sample came; reset velocity after a long gap.
 
-    A vehicle turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) beside what the
-    samples at both ends of a silence show. Where they show nothing, one that is flown hard is off
-    by half a radian and 4 m/s^2 in a second; tilt is bounded, heading and speed hardly are. A
-    stream that is always as slow has no gap, only doubt.
+    Rate and force are those of a first-order Gauss-Markov process, of which the samples at both
+    ends are known: over a time T the integral has a variance of 2 s^2 c^2 (T/c - 2 tanh(T / 2 c)),
+    where s is their sigma and c their correlation time. Tilt is bounded, heading and speed hardly
+    are. A stream that is always as slow has no gap, only doubt.
+
+    Args:
+        x: The state at the end.
+        k: The parameters.
+        span: Length of the gap, s.
+        rate: RMS of the rates at both ends, per axis, rad/s.
+        is_gap: Samples are missing.
     """
-    turned = 0.2 * span
-    gained = 2.0 * span
+    ratio = span / MOTION_TIME
+    spread = MOTION_TIME * sqrt(2.0 * (ratio - 2.0 * tanh(0.5 * ratio)))
+    turned = (rate if rate > RATE_STD else RATE_STD) * spread
+    gained = FORCE_STD * spread
     yawed = turned
     if is_gap:
         x.gaps += 1.0
@@ -375,11 +407,6 @@ def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> Non
         if is_gap:
             x.alignment.motion.has_fix = 0.0
         return
-    if is_gap and span > BLIND:
-        turned = 0.5 * span
-        gained = 4.0 * span
-    if yawed < turned:
-        yawed = turned
     if yawed > 1.8:
         yawed = 1.8
     if turned > 0.5:

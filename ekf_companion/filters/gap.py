@@ -1,11 +1,13 @@
-"""Gaps in the inertial samples: what happens meanwhile, as the main estimator takes it.
+"""Gaps in a vehicle's inertial samples: what it does meanwhile, as the main estimator takes it.
 
-The numbers are those of ``inflate_after_gap`` in :mod:`ekf_companion.core.kernel`, whose equations
-are compiled for its own state; ``tests/filters/test_gap.py`` compares both.
+Rate and specific force are a first-order Gauss-Markov process each, whose values at both ends of a
+gap are known. The numbers are those of ``inflate_after_gap`` in :mod:`ekf_companion.core.kernel`,
+whose equations are compiled for its own state; ``tests/filters/test_gap.py`` compares both.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +23,12 @@ SLOW = 3.0
 """Usual steps beyond which there is a gap, however slow the samples come."""
 IRREGULAR = 1.5
 """Usual steps beyond which a sample does not stand for the whole time since the one before."""
-BLIND = 0.5
-"""Longest step over which the motion is interpolated, s; over a longer one none is assumed."""
+MOTION_TIME = 0.4
+"""Correlation time of a vehicle's motion, s."""
+RATE_STD, FORCE_STD = 0.5, 6.7
+"""One sigma of its rate, rad/s, if both ends show no more, and specific force, m/s^2."""
+LARGEST_TURN = 2.0
+"""Largest turn that is expected to go on over a whole gap, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,35 +54,60 @@ class Lost:
         return Q
 
 
-def lost_motion(
-    span: float,
-    usual: float,
-    shortest: float = SHORTEST,
-    seen: tuple[float, float] = (0.2, 2.0),
-    unseen: tuple[float, float] = (0.5, 4.0),
-) -> Lost | None:
-    """Return what a step between samples hides, or None if it is no gap; all in s.
+def lost_motion(span: float, shortest: float = SHORTEST, gyro: Array | None = None) -> Lost | None:
+    """Return what a step between samples hides, or None if it is no gap.
 
-    A vehicle turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) beside what both
-    ends of a gap show (``seen``); where they show nothing (``unseen``), by 0.5 rad/s and 4 m/s^2.
-    Tilt is bounded.
+    Args:
+        span: Its length, s.
+        shortest: The longest that is no gap, s.
+        gyro: The rates at both its ends, rad/s, shape (2, 3).
     """
     if not span > shortest:
         return None
-    is_blind = span > BLIND and span > SLOW * usual
-    turned, gained = unseen if is_blind else seen
-    velocity = min(gained * span, 20.0)
+    shown = 0.0 if gyro is None else math.sqrt(float(np.mean(gyro * gyro)))
+    ratio = span / MOTION_TIME
+    spread = MOTION_TIME * math.sqrt(2.0 * (ratio - 2.0 * math.tanh(0.5 * ratio)))
+    return hidden(span, max(RATE_STD, shown) * spread, FORCE_STD * spread)
+
+
+def hidden(span: float, turned: float, gained: float) -> Lost:
+    """Return what a gap hides, with bounds: tilt by half a radian, whatever the gap.
+
+    Args:
+        span: Its length, s.
+        turned: One sigma of the turn in it, rad.
+        gained: One sigma of the change of velocity, m/s.
+    """
+    velocity = min(gained, 20.0)
     return Lost(
-        tilt=min(turned * span, 0.5),
-        yaw=min(turned * span, 1.8),
+        tilt=min(turned, 0.5),
+        yaw=min(turned, 1.8),
         velocity=velocity,
         position=0.5 * velocity * span,
     )
 
 
-def without_motion(over: Interval, state: Nominal, earth: Earth) -> Interval:
-    """Return an interval in which the vehicle neither turns nor accelerates."""
+def seen_share(span: float, gyro: Array | None = None) -> float:
+    """Return which share of the mean of both ends is expected over a gap, 1 down to 0.
+
+    Args:
+        span: Its length, s.
+        gyro: The rate at its end, rad/s, shape (3,): by so much nothing turns for long.
+    """
+    if gyro is not None and float(gyro @ gyro) * span * span > LARGEST_TURN**2:
+        return 0.0
+    ratio = 0.5 * span / MOTION_TIME
+    return math.tanh(ratio) / ratio
+
+
+def over_gap(over: Interval, state: Nominal, earth: Earth, share: float) -> Interval:
+    """Return an interval of a gap with a share of what its ends show; 0: no turn, no acceleration.
+
+    What it does not share is the motion of a vehicle that neither turns nor accelerates.
+    """
     C_bn = so3.to_matrix(state.q_nb).T
     rate_b = state.gyro_bias + C_bn @ earth.rate_n
     force_b = state.accel_bias - C_bn @ earth.accel_n(state)
+    rate_b = rate_b + share * (over.gyro - rate_b)
+    force_b = force_b + share * (over.accel - force_b)
     return replace(over, gyro0=rate_b, gyro1=rate_b, accel0=force_b, accel1=force_b)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.filters.gap import BLIND, SHORTEST, SLOW, Lost, lost_motion
+from ekf_companion.filters.gap import SHORTEST, SLOW, Lost, hidden
 from ekf_companion.filters.inertial import (
     LONGEST_GAP,
     inertial_samples,
@@ -23,6 +23,12 @@ from ekf_companion.nav.measurements import GNSS_DECLINATION, Events, Kind
 
 LONGEST_CARRY = 0.1
 """Longest time over which a field is rotated to the next inertial sample, s."""
+
+
+BLIND = 0.5
+"""Longest gap over which a turn is interpolated, s: a sensor in a hand swings back within it."""
+SEEN_RATE, UNSEEN_RATE = 0.2, 0.5
+"""One sigma of its rate, rad/s, beside what both ends of a shorter gap show, and in a longer."""
 
 
 class Missed(NamedTuple):
@@ -80,9 +86,11 @@ class MargSamples:
         for i in np.flatnonzero(steps > SHORTEST).tolist():
             span = float(steps[i])
             mean = (0.5 * (self.gyro_b[i - 1] + self.gyro_b[i])).tolist()
-            lost = lost_motion(span, usual)
-            if i and lost is not None and span > SLOW * usual:
-                missed[i] = Missed(span - usual, mean if span <= BLIND else None, lost)
+            if i and span > SLOW * usual:
+                is_blind = span > BLIND
+                turned = span * (UNSEEN_RATE if is_blind else SEEN_RATE)
+                lost = hidden(span, turned, 0.0)
+                missed[i] = Missed(span - usual, None if is_blind else mean, lost)
         steps = np.where([one is not None for one in missed], usual, steps)
         return zip(steps.tolist(), gyro, accel, fields, missed, strict=True)
 

@@ -20,7 +20,7 @@ from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.errors import FilterError, LogError
 from ekf_companion.filters import aiding
 from ekf_companion.filters.alignment import InitialEstimate, align
-from ekf_companion.filters.gap import BLIND, IRREGULAR, Lost, lost_motion, without_motion
+from ekf_companion.filters.gap import IRREGULAR, Lost, lost_motion, over_gap, seen_share
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.inertial import inertial_samples, longest_part
 from ekf_companion.filters.observation import Azimuth, Observation
@@ -45,8 +45,8 @@ class Step:
     aids: tuple[Observation, ...]
     is_sample: bool
     """The interval ends at an inertial sample: an estimate is due."""
-    still: Earth | None = None
-    """In a gap too long to interpolate the motion over: the Earth on which the vehicle stands."""
+    share: float = 1.0
+    """In a gap: the share of what its ends show that is expected."""
     lost: Lost | None = None
     """What the gap hides that ends with the sample."""
 
@@ -168,8 +168,8 @@ class MeasurementSequence:
         for k in range(max(first, 1), len(self.t_ns)):
             now, end = self.t_ns[k - 1 : k + 1].tolist()
             span = (end - now) * 1e-9
-            still = self.earth if span > BLIND else None
-            lost = lost_motion(span, self._usual, self._settings.imu.gap)
+            lost = lost_motion(span, self._settings.imu.gap, self.gyro[k - 1 : k + 1])
+            share = 1.0 if lost is None else seen_share(span, self.gyro[k])
             while waiting and waiting[0][0] <= end:
                 at_ns, aids = waiting.popleft()
                 over = self._interval(k, now, at_ns)
@@ -178,13 +178,13 @@ class MeasurementSequence:
                     over=over,
                     aids=aids,
                     is_sample=at_ns == end,
-                    still=still,
+                    share=share,
                     lost=lost if at_ns == end else None,
                 )
                 now = at_ns
             if now < end:
                 over = self._interval(k, now, end)
-                yield Step(t_ns=end, over=over, aids=(), is_sample=True, still=still, lost=lost)
+                yield Step(t_ns=end, over=over, aids=(), is_sample=True, share=share, lost=lost)
 
     def _interval(self, k: int, begin: int, end: int) -> Interval | None:
         """Return the measurements between two times within those of samples k - 1 and k."""
@@ -212,12 +212,12 @@ class MeasurementSequence:
         )
 
 
-def advance(tried: NavigationFilter, step: Step) -> None:
+def advance(tried: NavigationFilter, step: Step, earth: Earth) -> None:
     """Predict a filter over an interval, and correct it at the end."""
     if step.over is not None:
         over = step.over
-        if step.still is not None:
-            over = without_motion(over, tried.state, step.still)
+        if step.share < 1.0:
+            over = over_gap(over, tried.state, earth, step.share)
         tried.predict(over)
     if step.lost is not None:
         tried.inflate(step.lost.covariance(tried.state.q_nb))
@@ -243,7 +243,7 @@ def run_sequence(
     notes = sequence.notes
     for step in sequence.steps(setup.start.t_ns):
         try:
-            advance(tried, step)
+            advance(tried, step, setup.earth)
         except FilterError as why:
             if not len(recorder):
                 raise

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.errors import part_of
-from ekf_companion.filters.gap import BLIND, SHORTEST, SLOW
+from ekf_companion.filters.gap import SHORTEST, SLOW
 from ekf_companion.filters.inertial import LONGEST_GAP, turn
-from ekf_companion.filters.marg import MargSamples, marg_samples
+from ekf_companion.filters.marg import BLIND, MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, known_rows

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.filters.gap import BLIND, lost_motion, without_motion
+from ekf_companion.filters.gap import hidden, over_gap
 from ekf_companion.filters.inertial import LONGEST_GAP, inertial_samples, longest_part
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import (
@@ -48,6 +48,8 @@ SIZE = 18
 ONE = np.eye(3)
 SHORTEST_GAP = 0.05
 """Longest step between samples that is no gap, s: a swing lasts ten times as long."""
+BLIND = 0.5
+"""Longest step over which the motion is interpolated, s; a swing is over by then."""
 SWING = (3.0, 20.0)
 """One sigma of what a gap hides of a foot: it turns by 1 rad and goes 1.3 m in 0.6 s. rad/s,
 m/s^2."""
@@ -166,7 +168,6 @@ class _Filter:
         self._unaided = 0.0
         self._planted = rest.q_nb
         self._climb = 0.0
-        self._period = rest.period
 
     def run(self, imu: Events, is_still: Mask) -> tuple[int, int]:
         """Process all samples; return how many zero velocities were fused and refused."""
@@ -206,14 +207,14 @@ class _Filter:
 
     def _predict(self, over: Interval) -> None:
         if over.dt > BLIND:
-            over = without_motion(over, self._state, self._earth)
+            over = over_gap(over, self._state, self._earth, 0.0)
         Phi = np.eye(SIZE)
         Phi[:15, :15] = transition(self._state, over, self._earth)
         before = self._state.vel_n
         self._state = integrate_strapdown(self._state, over, self._earth)
         self._P = Phi @ self._P @ Phi.T + self._noise(over, before)
-        lost = lost_motion(over.dt, self._period, SHORTEST_GAP, SWING, SWING)
-        if lost is not None:
+        if over.dt > SHORTEST_GAP:
+            lost = hidden(over.dt, *(rate * over.dt for rate in SWING))
             self._P[:15, :15] += lost.covariance(self._state.q_nb)
 
     def _noise(self, over: Interval, before: Array) -> Array:

@@ -21,6 +21,7 @@ from ekf_companion.core.scratch import OUT, Event, Fix, Scratch, TapeRecord
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.core.state import BLOCK, State
 from ekf_companion.core.timeline import Timeline
+from ekf_companion.filters.gap import lost_motion
 from ekf_companion.nav.measurements import Events, Kind
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
@@ -294,7 +295,7 @@ def test_what_a_gap_adds_is_noise_of_its_own():
     assert [record.link for record in tape[1:]] == [Link.MOVED, Link.MOVED, Link.SAME]
     assert np.array_equal(tape[2].Phi, np.eye(N))
     grown = tape[2].state.P[0][0] - tape[1].state.P[0][0]
-    assert grown == pytest.approx((0.2 * 0.5) ** 2)
+    assert grown == pytest.approx(lost_motion(0.5).tilt ** 2)
     # nothing was measured, so nothing is learnt of before
     np.testing.assert_allclose(np.array(as_state(blocks[0]).P), tape[0].state.P, rtol=1e-9)
 

@@ -7,8 +7,8 @@ from benchmarks.matched import matched
 from ekf_companion.core.enums import E_ATT, E_POS, E_VEL, N
 from ekf_companion.core.memory import as_state
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.filters import ahrs, mahony, zupt
-from ekf_companion.filters.gap import lost_motion, without_motion
+from ekf_companion.filters import ahrs, gap, mahony, zupt
+from ekf_companion.filters.gap import lost_motion, over_gap, seen_share
 from ekf_companion.filters.strapdown import Earth, Interval, Nominal, integrate_strapdown
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
@@ -54,7 +54,7 @@ def test_a_gap_hides_as_much_as_the_main_estimator_takes_it_to(span):
         upto = kept.t_ns <= t_ns if k == 0 else (kept.t_ns > imu[first]) & (kept.t_ns <= t_ns)
         pipeline.run(kept.take(upto))
         P[k] = np.array(as_state(pipeline.state().block).P)
-    lost = lost_motion((imu[last] - imu[first]) * 1e-9, 0.02)
+    lost = lost_motion((imu[last] - imu[first]) * 1e-9)
     gain = np.diagonal(P[1] - P[0])
     # Beside what it adds in any such time, by its own noise and uncertainty
     assert gain[E_ATT] == pytest.approx(lost.tilt**2, rel=0.05)
@@ -63,10 +63,27 @@ def test_a_gap_hides_as_much_as_the_main_estimator_takes_it_to(span):
     assert gain[E_POS] > lost.position**2
 
 
-def test_a_slow_stream_has_no_gap_only_doubt():
-    assert lost_motion(0.19, 0.02) is None
-    assert lost_motion(0.8, 0.4).velocity == pytest.approx(1.6)
-    assert lost_motion(0.8, 0.02).velocity == pytest.approx(3.2)
+@pytest.mark.parametrize("span", [0.3, 0.6, 1.0, 2.0])
+def test_what_a_gap_hides_is_what_a_process_of_first_order_does_between_its_ends(span):
+    """Share and sigma of the mean of both ends, against samples of such a process."""
+    noise, step, time = np.random.default_rng(3), 0.01, gap.MOTION_TIME
+    count, kept = round(span / step), np.exp(-step / time)
+    rate = np.empty((count + 1, 20_000))
+    rate[0] = noise.standard_normal(rate.shape[1])
+    for k in range(count):
+        new = noise.standard_normal(rate.shape[1])
+        rate[k + 1] = kept * rate[k] + np.sqrt(1.0 - kept**2) * new
+    turned = step * (rate.sum(axis=0) - 0.5 * (rate[0] + rate[-1]))
+    ends = 0.5 * span * (rate[0] + rate[-1])
+    share = float(ends @ turned / (ends @ ends))
+    assert seen_share(span) == pytest.approx(share, abs=0.03)
+    sigma = float(np.std(turned - share * ends))
+    assert lost_motion(span).velocity == pytest.approx(gap.FORCE_STD * sigma, rel=0.05)
+
+
+def test_a_step_within_the_configured_gap_hides_nothing():
+    assert lost_motion(0.19) is None
+    assert lost_motion(0.19, 0.1) is not None
 
 
 def test_without_motion_nothing_turns_or_falls():
@@ -79,7 +96,7 @@ def test_without_motion_nothing_turns_or_falls():
     )
     earth, wild = Earth.flat(9.8), np.array([3.0, -2.0, 5.0])
     over = Interval(dt=0.7, gyro0=wild, gyro1=wild, accel0=wild, accel1=wild)
-    after = integrate_strapdown(state, without_motion(over, state, earth), earth)
+    after = integrate_strapdown(state, over_gap(over, state, earth, 0.0), earth)
     np.testing.assert_allclose(after.q_nb, state.q_nb, atol=1e-12)
     np.testing.assert_allclose(after.vel_n, state.vel_n, atol=1e-12)
 

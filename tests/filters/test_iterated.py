@@ -165,7 +165,7 @@ def test_both_forms_and_both_frames_give_one_flight():
     for options in ({}, {"form": "information"}, {"form": "innovation"}, {"frame": "robocentric"}):
         tried = Iterated(setup, **options)
         for step in course.steps(setup.start.t_ns):
-            advance(tried, step)
+            advance(tried, step, setup.earth)
         ends.append((tried.state, tried.covariance()))
     state, P = ends[0]
     for other, P_other in ends[1:3]:
@@ -182,7 +182,7 @@ def squares(flight):
     setup = course.setup()
     tried, due, found = Iterated(setup), [0.1, 5.0, 15.0], []
     for step in course.steps(setup.start.t_ns):
-        advance(tried, step)
+        advance(tried, step, setup.earth)
         if due and step.is_sample and (step.t_ns - setup.start.t_ns) * 1e-9 >= due[0]:
             due.pop(0)
             now, P = flight.truth_at(np.array([step.t_ns])), tried.covariance()
