@@ -46,6 +46,7 @@ _NUMBERS = {
     **{f"{kind.name.lower()}_hz": float for kind in _RATES},
     **{f"{status.name.lower()}_s": float for status in Status},
     "resets": int,
+    "reboots": int,
     "gaps": int,
     "late": int,
     "gnss_delay_s": float,
@@ -179,13 +180,14 @@ def _found(path: Path, table: Table, report: Report) -> Iterator[tuple[str, str 
     for status, seconds in report.seconds.items():
         yield f"{status.name.lower()}_s", round(seconds, 3)
     if (health := report.health) is not None:
-        yield from {"resets": health.resets, "gaps": health.gaps, "late": health.reruns}.items()
+        yield from {"resets": report.resets, "reboots": report.reboots}.items()
+        yield from {"gaps": health.gaps, "late": health.reruns}.items()
         yield "gyro_noise_rps", health.gyro_noise
         yield "accel_noise_mps2", health.accel_noise
         if report.counts[Kind.GNSS]:
             yield "gnss_delay_s", health.gnss_delay
-        if health.resets:
-            yield "last_reset", health.reset_reason
+        if report.resets:
+            yield "last_reset", report.reset_reason
     estimate = of_table(table, "ekf-companion")
     for whose, other in (("autopilot", report.own), ("truth", report.truth)):
         if other is not None:

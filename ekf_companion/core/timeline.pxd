@@ -26,11 +26,14 @@ cdef class Timeline:
     cdef Held ahead, behind
     cdef Py_ssize_t size, capacity, cursor, snaps, mark_row, lost, stretch, behind_samples
     cdef double expected_t, window, newest, oldest, reach, interval, late_t, behind_t, behind_first
-    cdef readonly long long epoch_ns, stamp_ns, reruns
+    cdef readonly long long epoch_ns, stamp_ns, reruns, reboots
+    cdef long long rebooted_at, reason_before
     cdef bint has_epoch, is_restored, is_set, is_leaping, keeps
     cdef list gone
     cdef void clear(self) noexcept nogil
     cdef int restart(self) except -1 nogil
+    cdef int reboot(self) except -1 nogil
+    cdef long long last_reason(self) noexcept nogil
     cdef void begin_stretch(self) noexcept nogil
     cdef int set_clock(self, long long t_ns) except -1 nogil
     cpdef void restore(

@@ -72,7 +72,8 @@ class Timeline:
     """The estimator over time: insert events as they arrive, and read the current state.
 
     To read: ``epoch_ns``, what the times in the state count from; ``stamp_ns``, the stamp of the
-    newest inertial sample; ``reruns``, how often a late event made the filter go back.
+    newest inertial sample; ``reruns``, how often a late event made the filter go back;
+    ``reboots``, how many of its resets were reboots of the autopilot.
     """
 
     def __init__(
@@ -128,6 +129,9 @@ class Timeline:
         self.epoch_ns = 0
         self.lost = 0
         self.reruns = 0
+        self.reboots = 0
+        self.rebooted_at = 0
+        self.reason_before = enums.RESET_NONE
         self.stretch = 0
         self.keeps = keeps_history
         self.gone: list[tuple[int, int, np.ndarray, np.ndarray]] = []
@@ -171,6 +175,22 @@ class Timeline:
         self.lost = 0
         self.begin_stretch()
         self.clear()
+
+    def reboot(self) -> None:
+        """Begin anew as the autopilot does, and count that beside the resets of other reasons."""
+        before = cython.declare(cython.double, self.x.resets)
+        reason = cython.declare(cython.longlong, self.last_reason())
+        self.restart()
+        if self.x.resets > before:
+            self.reboots += 1
+        self.rebooted_at = cython.cast(cython.longlong, self.x.resets)
+        self.reason_before = reason
+
+    def last_reason(self) -> int:
+        """Return why the last reset was made that was no reboot."""
+        if self.rebooted_at > 0 and self.x.resets == self.rebooted_at:
+            return self.reason_before
+        return cython.cast(cython.longlong, self.x.reset_reason)
 
     def begin_stretch(self) -> None:
         """Begin a stretch of the history with the state of now."""
@@ -274,7 +294,7 @@ class Timeline:
             if values[0] != 0.0 and self.newest >= 0.0:
                 self.is_set = True
             else:
-                self.restart()
+                self.reboot()
             result = enums.ARRIVAL_RESTARTED
         elif kind < self.delay.shape[0] and is_sane(kind, values):
             result = self.place(t_ns, kind, values)
@@ -732,6 +752,11 @@ class Timeline:
     def reasons(self) -> int:
         """Why the estimate is not OK, as bits: a :class:`~.nav.state.Reason`."""
         return find_reasons(self.x, self.k)
+
+    @property
+    def reset_reason(self) -> int:
+        """Why the last reset was made that was no reboot."""
+        return int(self.last_reason())
 
     @property
     def resets(self) -> int:

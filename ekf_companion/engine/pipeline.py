@@ -162,6 +162,16 @@ class Pipeline:
         return int(self._timeline.resets)
 
     @property
+    def reboots(self) -> int:
+        """How many of these were reboots of the autopilot."""
+        return int(self._timeline.reboots)
+
+    @property
+    def reset_reason(self) -> str:
+        """Why it last jumped, reboots aside."""
+        return RESET_REASONS[self._timeline.reset_reason]
+
+    @property
     def stamp_ns(self) -> int:
         """Stamp of the estimate: that of the newest inertial sample, ns."""
         return int(self._timeline.stamp_ns)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ekf_companion.logs.recording import counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, Kind
@@ -126,16 +127,21 @@ def why_no_position(events: Events) -> str:
     return what + "north is not known; give mag or heading, or the velocity of the fixes (vel_n)"
 
 
+def resets_of(table: Table) -> int:
+    """Return how often an estimate was reset: two resets at one measurement are two."""
+    return int(np.maximum(np.diff(table.column("reset_count")), 0.0).sum())
+
+
 def _resets(table: Table) -> list[str]:
-    rows = np.flatnonzero(np.diff(table.column("reset_count")) != 0.0) + 1
+    rows = np.flatnonzero(np.diff(table.column("reset_count")) > 0.0) + 1
     if not len(rows):
         return []
     times = ", ".join(f"{one:.1f}" for one in table.stamp_ns[rows[:5]] * 1e-9)
     more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
-    what = "1 reset" if len(rows) == 1 else f"{len(rows)} resets"
     return [
-        f"{what}, at {times} s{more}: the estimate jumped there, for samples were missing or the "
-        "measurements contradicted it; look at the arrays around these times"
+        f"{counted(resets_of(table), 'reset')}, at {times} s{more}: the estimate jumped there, for "
+        "samples were missing or the measurements contradicted it; look at the arrays around these "
+        "times"
     ]
 
 

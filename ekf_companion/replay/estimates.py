@@ -29,6 +29,7 @@ from ekf_companion.nav.state import (
     Status,
     Table,
 )
+from ekf_companion.replay.account import resets_of
 
 
 class Origin(NamedTuple):
@@ -94,8 +95,8 @@ class Estimates:
 
     @property
     def resets(self) -> int:
-        """How often the estimate jumped on purpose; ``notes`` say when."""
-        return int(np.count_nonzero(np.diff(self.table.column("reset_count"))))
+        """How often the estimate jumped on purpose; ``notes`` say when, two at once are two."""
+        return resets_of(self.table)
 
     @property
     def t_ns(self) -> Stamps:

@@ -54,6 +54,10 @@ class Report:
     estimates: int = 0
     reboots: int = 0
     """How often the autopilot's clock began anew."""
+    other_resets: int = 0
+    """Resets that ``health`` does not count: of autopilots that were followed before the last."""
+    last_reset: str = ""
+    """Why the last of them was made that was no reboot; empty: as ``health`` says."""
     health: Health | None = None
     refused: dict[str, int] = field(default_factory=dict)
     damage: Damage = UNDAMAGED
@@ -79,6 +83,18 @@ class Report:
     truth: Trajectory | None = None
     """From a simulator, an optical system, or a file beside the log."""
 
+    @property
+    def resets(self) -> int:
+        """How often the estimate was reset: each step of ``reset_count`` that is no reboot."""
+        return (self.health.resets if self.health else 0) - self.reboots + self.other_resets
+
+    @property
+    def reset_reason(self) -> str:
+        """Why the last reset was made that was no reboot; empty: there was none."""
+        if self.resets <= 0 or self.health is None:
+            return ""
+        return self.last_reset or self.health.reset_reason
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything for JSON, names in lower case."""
         health = self.health
@@ -97,7 +113,7 @@ class Report:
                 status.name.lower(): to_names(by_reason)
                 for status, by_reason in self.reasons.items()
             },
-            "resets": health.resets if health else 0,
+            "resets": self.resets,
             "gaps": health.gaps if health else 0,
             "late": health.reruns if health else 0,
             "aids": _by_name(health.verdicts) if health else {},
@@ -248,8 +264,9 @@ def summary(report: Report) -> list[str]:
                 lines += [f"    {one}: {words}" for one, words in sensors.items()]
         late = report.health.reruns
         lines.append(
-            f"  resets: {report.health.resets}"
-            + (f" (last: {report.health.reset_reason})" if report.health.resets else "")
+            f"  resets: {report.resets}"
+            + (f" (last: {report.reset_reason})" if report.resets else "")
+            + (f"; reboots: {report.reboots}" if report.reboots else "")
             + f"; gaps: {report.health.gaps}; late measurements: {late}"
         )
     spent = ", ".join(f"{each.name.lower()} {s:.1f} s" for each, s in report.seconds.items())

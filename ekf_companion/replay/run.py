@@ -242,6 +242,12 @@ class Run(Generic[P]):
         if self.pipelines:
             self.report.health = health = self.pipelines[-1].health()
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
+            resets = sum(one.resets - one.reboots for one in self.pipelines)
+            self.report.other_resets = resets - (health.resets - self.report.reboots)
+            self.report.last_reset = next(
+                (one.reset_reason for one in reversed(self.pipelines) if one.resets > one.reboots),
+                "",
+            )
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self._note_left_out()
         self.report.notes += self._magnetometer.notes() + self._receivers.notes()

@@ -56,6 +56,8 @@ MOST_REASONS = 2
 MOSTLY = 0.5
 """Share of the refused headings of a compass whose field is not the Earth's, from which on that is
 its trouble: iron of the vehicle, which a calibration takes out, or of what is around it."""
+MOST_RESETS = 2
+"""More are poor."""
 FEWEST = 10
 """Refused measurements of an aid from which on they are named."""
 
@@ -225,14 +227,16 @@ def _of_status(report: Report, spent: float) -> Reasons:
 
 
 def _of_resets(report: Report) -> Reasons:
-    resets = report.health.resets if report.health else 0
-    resets -= report.reboots
-    if resets <= 0:
+    fair: list[str] = []
+    if report.reboots:
         times = "once" if report.reboots == 1 else f"{report.reboots} times"
-        return Reasons(fair=(f"the autopilot rebooted {times}",) if report.reboots else ())
-    reason = report.health.reset_reason if report.health else ""
-    words = (f"{counted(resets, 'reset')} (last: {reason})",)
-    return Reasons(poor=words) if resets > 2 else Reasons(fair=words)
+        fair.append(f"the autopilot rebooted {times}")
+    if report.resets <= 0:
+        return Reasons(fair=tuple(fair))
+    words = f"{counted(report.resets, 'reset')} (last: {report.reset_reason})"
+    if report.resets > MOST_RESETS:
+        return Reasons(poor=(words,), fair=tuple(fair))
+    return Reasons(fair=(words, *fair))
 
 
 def _of_fixes(report: Report) -> Reasons:
