@@ -84,6 +84,15 @@ class Departure(NamedTuple):
         """The witness, in words."""
         return "the truth" if self.is_truth else "the autopilot's"
 
+    @property
+    def is_close(self) -> bool:
+        """Whether yaw, tilt and height are as the witness's, as far as it has them."""
+        height = self.height
+        return all(one.ours is None and not one.rms > one.limit for one in self.angles) and (
+            height is None
+            or max(abs(height.mean), height.rms) <= max(HEIGHT, SIGMAS * height.sigma)
+        )
+
     def sizes(self) -> list[str]:
         """Return what is large, without a judgement: ``yaw 4.0 deg``."""
         words = [

@@ -80,6 +80,18 @@ class Evidence(NamedTuple):
     """How far yaw, tilt and height are from the truth, else from the autopilot's."""
 
     @property
+    def is_right(self) -> bool:
+        """Whether the truth says that the flight is estimated right, whatever the filter doubts."""
+        return self.truth is not None and self.truth.rms <= NEAR and self.departure.is_close
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether another estimate of the same flight, the autopilot's, says the same."""
+        if self.truth is not None or self.autopilot is None:
+            return False
+        return self.autopilot.rms <= NEAR and self.departure.is_close
+
+    @property
     def truth_elsewhere(self) -> str:
         """Ask for a truth that is far from the receiver's fixes, where ours is not; else empty."""
         ours, theirs = self.truth_to_fixes or (0.0, 0.0)
@@ -98,6 +110,11 @@ class Reasons(NamedTuple):
     aside: tuple[str, ...] = ()
     """Worth a word, and no harm."""
 
+    @property
+    def softened(self) -> Reasons:
+        """The same, of an estimate that only doubts itself: no worse than fair."""
+        return Reasons((), self.poor + self.fair, self.aside)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
@@ -112,13 +129,16 @@ class Judgement:
     """What speaks against it, the worst first."""
     aside: tuple[str, ...] = ()
     """What is worth a word besides."""
+    place: int = 0
+    """After how many of the reasons the size stands: behind what makes it poor, unless that is the
+    size."""
 
     @property
     def sentence(self) -> str:
         """The judgement as one sentence: ``good: 0.4 m, no resets``."""
         words = [*(self.reasons or ("no resets",)), *self.aside]
         if self.size:
-            words.insert(1 if self.grade == "slow" else 0, self.size)
+            words.insert(self.place, self.size)
         return f"{self.grade}: {', '.join(words)}"
 
 
@@ -130,8 +150,10 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     parts += [_of_left_out(report), _of_samples(rate), _of_file(report)]
     departure = Reasons(*map(tuple, evidence.departure.reasons()))
     if spent > 0.0:
-        found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
-        parts = [*found, _of_fixes(report), departure, _of_aids(report), *parts]
+        doubts = [_of_status(report, spent, evidence), _of_resets(report), _of_fixes(report)]
+        if evidence.is_right:
+            doubts[1:] = [one.softened for one in doubts[1:]]
+        parts = [_of_position(evidence), *doubts, departure, _of_aids(report), *parts]
     poor, fair, aside = (tuple(words for part in parts for words in part[i]) for i in range(3))
     if whole < SHORT_S:
         words = (f"{whole:.0f} s are too few to judge",)
@@ -148,9 +170,12 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
             *(one for one in poor + fair if one not in rest),
         )
         aside = tuple(one for one in aside if one not in departure.aside)
-        return Judgement(grade="slow", size=_horizontal(evidence), reasons=reasons, aside=aside)
+        size = _horizontal(evidence)
+        return Judgement(grade="slow", size=size, reasons=reasons, aside=aside, place=1)
     grade = "poor" if poor else "fair" if fair else "good"
-    return Judgement(grade=grade, size=_size(evidence), reasons=poor + fair, aside=aside)
+    place = 0 if _of_position(evidence).poor else len(poor)
+    size = _size(evidence)
+    return Judgement(grade=grade, size=size, reasons=poor + fair, aside=aside, place=place)
 
 
 def _size(evidence: Evidence) -> str:
@@ -208,7 +233,8 @@ def _of_position(evidence: Evidence) -> Reasons:
     return Reasons(tuple(poor), tuple(fair))
 
 
-def _of_status(report: Report, spent: float) -> Reasons:
+def _of_status(report: Report, spent: float, evidence: Evidence) -> Reasons:
+    """Judge the time in which the estimate doubted itself, or was none."""
     poor: list[str] = []
     fair: list[str] = []
     for status, words in (
@@ -217,7 +243,11 @@ def _of_status(report: Report, spent: float) -> Reasons:
         (Status.DEGRADED, "degraded for {:.0f} s"),
     ):
         seconds = report.seconds.get(status, 0.0)
-        is_long = seconds > OFTEN * spent or status is Status.INVALID
+        is_long = seconds > OFTEN * spent
+        if status is Status.INVALID:
+            is_long |= not evidence.is_right
+        elif evidence.is_right or (status is Status.DEGRADED and evidence.is_shared):
+            is_long = False
         if seconds > 1.0 and seconds > RARELY * spent * (status is Status.DEGRADED):
             by_reason = report.reasons.get(status, {})
             most = dict(sorted(by_reason.items(), key=lambda one: -one[1])[:MOST_REASONS])

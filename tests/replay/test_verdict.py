@@ -11,6 +11,7 @@ from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Damage
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
+from ekf_companion.replay.departure import YAW, Angle, Departure, Excess, Height
 from ekf_companion.replay.report import Report
 from ekf_companion.replay.track import Size
 from ekf_companion.replay.verdict import Evidence, judge
@@ -65,13 +66,13 @@ BAD = Damage("1314 damaged places in the file (27.6 kB)", 0.02)
         ),
         (silent(12.0), "fair: 0.4 m RMS by its own sigma, no inertial samples for 12 s at 20 s"),
         (report(resets=1), "fair: 0.4 m RMS by its own sigma, 1 reset (last: position)"),
-        (report(resets=3), "poor: 0.4 m RMS by its own sigma, 3 resets (last: position)"),
+        (report(resets=3), "poor: 3 resets (last: position), 0.4 m RMS by its own sigma"),
         (
             report(resets=1, reboots=1),
             "fair: 0.4 m RMS by its own sigma, the autopilot rebooted once",
         ),
         (report(refused=10), "fair: 0.4 m RMS by its own sigma, 10% of the fixes refused"),
-        (report(refused=30), "poor: 0.4 m RMS by its own sigma, 30% of the fixes refused"),
+        (report(refused=30), "poor: 30% of the fixes refused, 0.4 m RMS by its own sigma"),
         (
             report({Status.OK: 80.0, Status.DEAD_RECKONING: 10.0}),
             "fair: 0.4 m RMS by its own sigma, without GNSS for 10 s",
@@ -79,7 +80,7 @@ BAD = Damage("1314 damaged places in the file (27.6 kB)", 0.02)
         (report({Status.OK: 97.0, Status.DEGRADED: 3.0}), "good: 0.4 m"),
         (
             report({Status.OK: 97.0, Status.INVALID: 3.0}),
-            "poor: 0.4 m RMS by its own sigma, not valid for 3 s",
+            "poor: not valid for 3 s, 0.4 m RMS by its own sigma",
         ),
         (report({Status.ATTITUDE: 90.0}, gnss=0), "attitude only: no GNSS fix"),
         (report({Status.ATTITUDE: 90.0}), "attitude only: no position, for no heading was"),
@@ -136,6 +137,80 @@ def test_the_verdict_names_size_and_reasons(found, sentence):
 )
 def test_the_best_witness_of_the_position_is_the_one_that_counts(evidence, sentence):
     assert judge(report(), evidence).sentence.startswith(sentence)
+
+
+RIGHT = Angle("yaw", YAW, np.deg2rad(1.0), 90.0)
+TURNED = Angle("yaw", YAW, np.deg2rad(18.0), 90.0)
+LOST = Excess(5.0, np.deg2rad(24.0), 29.5, 28.0)
+
+
+def flown(rms, *angles, height=None, truth=True):
+    """Return evidence of a flight whose position is so far from a truth, or the autopilot's."""
+    size, departure = Size(rms, rms, 1.0), Departure(truth, angles, height)
+    return Evidence(**{"truth" if truth else "autopilot": size}, departure=departure)
+
+
+DOUBTS = {Status.OK: 30.0, Status.DEGRADED: 70.0}
+
+
+@pytest.mark.parametrize(
+    ("found", "evidence", "sentence"),
+    [
+        (report(DOUBTS), flown(0.7, RIGHT), "fair: 0.7 m RMS from the truth, degraded for 70 s"),
+        (report(DOUBTS), flown(0.04), "fair: 0.0 m RMS from the truth, degraded for 70 s"),
+        (report(refused=42), flown(0.7, RIGHT), "fair: 0.7 m RMS from the truth, 42% of the fixes"),
+        (report(resets=3), flown(0.7, RIGHT), "fair: 0.7 m RMS from the truth, 3 resets"),
+        (
+            report({Status.OK: 40.0, Status.DEAD_RECKONING: 60.0}),
+            flown(1.9),
+            "fair: 1.9 m RMS from the truth, without GNSS for 60 s",
+        ),
+        (
+            report({Status.OK: 98.0, Status.INVALID: 2.0}),
+            flown(0.0),
+            "fair: 0.0 m RMS from the truth, not valid for 2 s",
+        ),
+        # What is right only while it is given is poor all the same
+        (
+            report({Status.OK: 10.0, Status.INVALID: 90.0}),
+            flown(0.0),
+            "poor: not valid for 90 s, 0.0 m RMS from the truth",
+        ),
+        (report(DOUBTS), flown(3.0), "poor: degraded for 70 s, 3.0 m RMS from the truth, not cl"),
+        (report(DOUBTS), flown(0.7, TURNED), "poor: degraded for 70 s, 0.7 m RMS from the truth"),
+        (
+            report(DOUBTS),
+            flown(0.7, RIGHT._replace(ours=LOST)),
+            "poor: degraded for 70 s, 0.7 m RMS from the truth, yaw up to 24 deg from the truth",
+        ),
+        (
+            report(DOUBTS),
+            flown(0.7, height=Height(14.3, 0.4, 1.0)),
+            "poor: degraded for 70 s, 0.7 m RMS from the truth, height 14.3 m above the truth",
+        ),
+        (
+            report(DOUBTS),
+            flown(0.7, RIGHT, truth=False),
+            "fair: differs from the autopilot's estimate by 0.7 m RMS, degraded for 70 s",
+        ),
+        # An autopilot that refuses the same receiver is no witness for what was not used
+        (
+            report(refused=42),
+            flown(0.7, RIGHT, truth=False),
+            "poor: 42% of the fixes refused, differs from the autopilot's estimate by 0.7 m RMS",
+        ),
+        (report(DOUBTS), SURE, "poor: degraded for 70 s, 0.4 m RMS by its own sigma"),
+        (
+            report(is_contradictory=True),
+            flown(0.3),
+            "poor: the units or axes look wrong, 0.3 m RMS from the truth",
+        ),
+    ],
+)
+def test_a_flight_that_is_right_is_not_poor_and_what_makes_one_poor_comes_first(
+    found, evidence, sentence
+):
+    assert judge(found, evidence).sentence.startswith(sentence)
 
 
 def test_a_slow_or_short_log_is_called_that_and_not_poor():
