@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import re
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import NamedTuple
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs.source import PACKED
+from ekf_companion.logs.source import PACKED, head_of
 
 HEAD = 1024
 """Bytes that are looked at."""
 HOUR_US = 3_600_000_000
 """Two frames that follow each other in a telemetry log are nearer in time."""
+
+
+_TEXT = re.compile(rb"^\s*FMT\s*,\s*128\s*,", re.MULTILINE)
+"""A line that declares the records that declare records; a dump may begin with other lines."""
 
 
 class Content(NamedTuple):
@@ -55,21 +61,19 @@ def check_suffix(path: Path, suffix: str) -> None:
     Raises:
         LogError: The file is of another kind than its suffix says; it names the remedy.
     """
-    if path.suffix.lower() in PACKED or not path.is_file():
+    if not path.is_file():
         return
-    try:
-        with path.open("rb") as file:
-            head = file.read(HEAD)
-    except OSError:
-        return  # its reader says why
+    head = head_of(path, HEAD)
+    if _TEXT.search(head.removeprefix(BOM_UTF8)):
+        raise LogError(
+            f"{path}: holds {DATAFLASH.words} as text, which is not read; name the .bin that it "
+            "was made from"
+        )
+    if path.suffix.lower() in PACKED:
+        return
     found = content_of(head)
     if found is not None and found.suffix != suffix:
         raise LogError(
             f"{path}: holds {found.words}, whose suffix is {found.suffix}; rename it to "
             f"{path.with_suffix(found.suffix).name}"
-        )
-    if found is None and head.startswith(b"FMT, 128,"):
-        raise LogError(
-            f"{path}: holds {DATAFLASH.words} as text, which is not read; name the .bin that it "
-            "was made from"
         )

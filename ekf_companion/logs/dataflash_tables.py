@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ekf_companion.logs import dataflash_instances, dataflash_sensors, series
+from ekf_companion.logs import dataflash_instances, dataflash_old, dataflash_sensors, series
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import Tables
 from ekf_companion.logs.series import Extent
@@ -38,6 +38,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("XKF1", "NKF1", "EKF1"), (*_ANGLES, *_MOTION)),
     "ARM": ("ArmState",),
     "EV": ("Id",),
+    dataflash_old.TUNING: (),
     "PARM": ("Value",),
     "MSG": (),
     **{name: columns[-1:] for name, columns in dataflash_instances.ASKED.items()},
@@ -51,6 +52,7 @@ READ: dict[str, tuple[str, ...] | None] = {
     **dict.fromkeys(NEEDED),
     **dict.fromkeys(dataflash_sensors.FAMILIES["IMU"].messages, _IMU),
     **dataflash_instances.ASKED,
+    dataflash_old.TUNING: (*dataflash_old.STAMPS, *dataflash_old.HEIGHTS),
 }
 """The columns that are read of each message; None: all. Of inertial samples there are millions."""
 
@@ -60,6 +62,7 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
 
     Also return from when to when the log's sensors spoke, of which samples may be a part.
     """
+    tables = dataflash_old.with_barometer(tables, notes)
     usable = {name: t for name, t in tables.items() if _is_usable(t, NEEDED[name]) and len(t)}
     tables = dataflash_instances.choose(usable, notes)
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
@@ -73,6 +76,7 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
         name: _on_run(table, runs[name]) if name in runs else table
         for name, table in tables.items()
     }
+    dataflash_old.stamp_by_place(kept, notes)
     sensors = [name for name in ("IMU", "GPS", "MAG", "BARO", "ATT") if name in tables]
     notes += series.left_out(runs, {one: (len(tables[one]), len(kept[one])) for one in sensors})
     extent = series.extent(runs, sensors, "IMU")

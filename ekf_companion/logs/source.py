@@ -52,6 +52,17 @@ def read_bytes(path: Path, kind: str) -> bytes:
     return bytes(MappedFile(path, kind).data)
 
 
+def head_of(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file, unpacked; fewer if they cannot be read."""
+    try:
+        with path.open("rb") as file:
+            packed = path.suffix.lower() in PACKED
+            blocks = _unpack(path, file, []) if packed else _blocks(file, size)
+            return next(blocks, b"")[:size]
+    except (OSError, LogError):
+        return b""  # its reader says why
+
+
 class MappedFile:
     """All bytes of a file: a large one is mapped, and is in memory as far as it is being read.
 

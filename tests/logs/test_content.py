@@ -1,5 +1,7 @@
 """A log under another suffix: its kind is told by its bytes."""
 
+import gzip
+
 import pytest
 from typer.testing import CliRunner
 
@@ -40,8 +42,27 @@ def test_what_is_no_log_has_no_kind(logs):
         assert content_of(head) is None
 
 
-def test_a_dataflash_log_as_text_is_named(tmp_path):
-    path = tmp_path / "flight.log"
-    path.write_text("FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n")
+FORMAT = "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        FORMAT,
+        FORMAT.replace(", ", ","),
+        "\ufeff" + FORMAT,
+        "\r\n \r\n" + FORMAT,
+        "ArduCopter V3.1.5 (3c57e771)\nFree RAM: 990\n" + FORMAT,
+        "PARM, RC1_MIN, 1100\n  FMT , 128 , 89, FMT, BBnNZ, Type",
+    ],
+    ids=["as written", "no blanks", "mark", "empty lines", "firmware first", "parameters first"],
+)
+@pytest.mark.parametrize(
+    "name", ["flight.log", "flight.txt", "flight.csv", "flight.bin", "a.log.gz"]
+)
+def test_a_dataflash_log_as_text_is_named(tmp_path, name, text):
+    path = tmp_path / name
+    data = (text + "\n").encode()
+    path.write_bytes(gzip.compress(data) if name.endswith(".gz") else data)
     with pytest.raises(LogError, match="as text, which is not read; name"):
         read(path)
