@@ -17,8 +17,7 @@ import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import receiver_time, series
-from ekf_companion.logs.dataflash_columns import boot_ns, names_of
-from ekf_companion.logs.dataflash_flown import parameter
+from ekf_companion.logs.dataflash_columns import boot_ns, names_of, parameter
 from ekf_companion.logs.dataflash_records import OFFSET, Tables, read_tables
 from ekf_companion.logs.dataflash_sensors import INSTANCE
 from ekf_companion.logs.dataflash_tables import (
@@ -358,7 +357,7 @@ def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arriv
 
     A log has them in those of the board.
     """
-    roll, pitch = (parameter(tables, name) or 0.0 for name in (b"AHRS_TRIM_X", b"AHRS_TRIM_Y"))
+    roll, pitch = (parameter(tables, name) or 0.0 for name in ("AHRS_TRIM_X", "AHRS_TRIM_Y"))
     if not (roll or pitch):
         return lambda arrivals: arrivals
     C_vb = trim_matrix(roll, pitch)
@@ -377,11 +376,7 @@ def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arriv
 
 def _gnss_delay(tables: Columns) -> float | None:
     """Return the GNSS delay where a parameter sets one; 0 leaves it to the driver."""
-    if "PARM" not in tables or "Name" not in names_of(tables["PARM"]):
-        return None
-    names, values = tables["PARM"]["Name"], tables["PARM"]["Value"]
-    for name in (b"GPS1_DELAY_MS", b"GPS_DELAY_MS"):
-        found = values[names == name]
-        if len(found) and 0.0 < found[-1] < np.inf:
-            return float(found[-1]) * 1e-3
+    for name in ("GPS1_DELAY_MS", "GPS_DELAY_MS"):
+        if (delay := parameter(tables, name)) is not None and delay > 0.0:
+            return delay * 1e-3
     return None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import Tables
-from ekf_companion.logs.stored_rows import Column
+from ekf_companion.logs.onboard import clean
+from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Stamps
 
 
@@ -33,13 +35,24 @@ def stamps(table: Column) -> Stamps:
     return np.zeros(len(table), dtype=np.int64) if t_ns is None else t_ns
 
 
-def parameter(tables: Tables, name: bytes) -> float | None:
-    """Return the first value that a log has of a parameter: what was flown with."""
+def parameters(tables: Mapping[str, StoredRows | Column]) -> dict[str, float]:
+    """Return the first value that a log has of each parameter: what was flown with."""
     table = tables.get("PARM")
-    if table is None or not {"Name", "Value"} <= {*table.names}:
-        return None
-    for _, rows in table.parts():
-        found = rows["Value"][rows["Name"] == name]
-        if len(found) and np.isfinite(found[0]):
-            return float(found[0])
-    return None
+    if table is None:
+        return {}
+    dtype = table.dtype
+    if not {"Name", "Value"} <= {*(dtype.names or ())} or dtype["Name"].kind != "S":
+        return {}
+    found: dict[str, float] = {}
+    for _, rows in table.parts() if isinstance(table, StoredRows) else ((0, table),):
+        names, first = np.unique(rows["Name"], return_index=True)
+        values = rows["Value"][first].astype(float).tolist()
+        for name, value in zip(names.tolist(), values, strict=True):
+            found.setdefault(clean(name), value)
+    return found
+
+
+def parameter(tables: Mapping[str, StoredRows | Column], name: str) -> float | None:
+    """Return the first value that a log has of a parameter; None: it has none."""
+    value = parameters(tables).get(name)
+    return value if value is not None and np.isfinite(value) else None

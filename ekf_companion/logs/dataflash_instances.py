@@ -34,7 +34,7 @@ from ekf_companion.logs.series import ascending, stack
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 
-_LANES = (("XKF4", "XKF1", b"EK3_IMU_MASK", 3), ("NKF4", "NKF1", b"EK2_IMU_MASK", 2))
+_LANES = (("XKF4", "XKF1", "EK3_IMU_MASK", 3), ("NKF4", "NKF1", "EK2_IMU_MASK", 2))
 """Messages that name the primary lane, those of the lanes, and the filter's AHRS_EKF_TYPE."""
 ASKED: dict[str, tuple[str, ...]] = {
     "XKF4": ("TimeUS", "C", "PI"),
@@ -91,7 +91,7 @@ def _primary_lanes(tables: Tables) -> dict[str, Wanted]:
 
     Of two filters that run, that which flies (AHRS_EKF_TYPE) comes first.
     """
-    flies = parameter(tables, b"AHRS_EKF_TYPE")
+    flies = parameter(tables, "AHRS_EKF_TYPE")
     found = {}
     for message, name, _, _ in sorted(_LANES, key=lambda one: one[3] != flies):
         table = tables.get(message)

@@ -5,12 +5,9 @@ Source: ArduPilot libraries/AP_Logger/LogStructure.h (PARM, MSG).
 
 from __future__ import annotations
 
-import numpy as np
-
-from ekf_companion.logs.dataflash_columns import boot_ns, names_of
+from ekf_companion.logs.dataflash_columns import boot_ns, names_of, parameters
 from ekf_companion.logs.dataflash_tables import Columns
 from ekf_companion.logs.onboard import MOST, Message, Onboard, clean, onboard
-from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav.arrays import Stamps
 
 
@@ -23,7 +20,7 @@ def text_of(tables: Columns, message_ns: Stamps) -> Onboard:
     """
     rows = tables.get("MSG")
     if rows is None or "Message" not in names_of(rows) or rows["Message"].dtype.kind != "S":
-        return onboard((), _parameters(tables.get("PARM")))
+        return onboard((), parameters(tables))
     own_ns = boot_ns(rows)
     stamps = (message_ns if own_ns is None else own_ns).tolist()
     stamps += [None] * (len(rows) - len(stamps))
@@ -32,13 +29,4 @@ def text_of(tables: Columns, message_ns: Stamps) -> Onboard:
         Message(t_ns, "", clean(text))
         for t_ns, text in zip(stamps, rows["Message"][:MOST].tolist(), strict=False)
     ]
-    return onboard(told, _parameters(tables.get("PARM")), left_out=max(len(rows) - MOST, 0))
-
-
-def _parameters(rows: Column | None) -> dict[str, float]:
-    """Return the first value of each parameter."""
-    if rows is None or "Name" not in names_of(rows) or rows["Name"].dtype.kind != "S":
-        return {}
-    names, first = np.unique(rows["Name"], return_index=True)
-    values = rows["Value"][first].astype(float).tolist()
-    return {clean(name): value for name, value in zip(names.tolist(), values, strict=True)}
+    return onboard(told, parameters(tables), left_out=max(len(rows) - MOST, 0))
