@@ -109,7 +109,11 @@ class FlightReview:
             **self.numbers.to_dict(),
             "firmware": self.onboard.firmware,
             "bands": [
-                {"name": one.name, "spans_s": [[t * 1e-9 for t in span] for span in one.spans_ns]}
+                {
+                    "name": one.name,
+                    "seconds": one.seconds,
+                    "spans_s": [[t * 1e-9 for t in span] for span in one.spans_ns],
+                }
                 for one in self.bands
             ],
             **self.report.to_dict(),

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from ekf_companion.analysis import gaps
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.engine.health import REFUSALS, Aid, Verdict
-from ekf_companion.nav import so3
+from ekf_companion.nav import reason, so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
-from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Status, Table, Trajectory
+from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Reason, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
 from ekf_companion.replay.watched import Look
 
@@ -197,10 +197,13 @@ def _events(review: FlightReview, zero_ns: int) -> list[dict[str, Any]]:
         if look.reset and look.t_ns >= zero_ns
     ]
     status, stamps = review.table.column("status"), review.table.stamp_ns
+    reasons = reason.foremost_of(review.table.column("reasons"))
     for row in (np.flatnonzero(np.diff(status)) + 1).tolist():
         now, before = (Status(int(status[at])) for at in (row, row - 1))
         level = "warning" if now > Status.OK else "info"
         text = f"Estimate is {now.name}, was {before.name}"
+        if why := reasons[row]:
+            text += f": {reason.WORDS[Reason(why)]}"
         events.append({"t": float(stamps[row] - zero_ns) * 1e-9, "level": level, "text": text})
     for aid, why in product(Aid, REFUSALS):
         for before_look, look in pairwise(review.looks):

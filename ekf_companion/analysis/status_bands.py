@@ -9,48 +9,52 @@ import numpy as np
 
 from ekf_companion.analysis.gaps import GAP_NS
 from ekf_companion.nav.arrays import Mask, Stamps
-from ekf_companion.nav.state import COLUMNS, Reason, Status, Table
+from ekf_companion.nav.reason import ORDER, WORDS, foremost_of, seconds_by_reason
+from ekf_companion.nav.state import Status, Table
 
 NO_SAMPLES = "no inertial samples"
-REASONS = "reasons"
-"""The column with the sum of the reasons' bits, where a table has one."""
 
 
 class Band(NamedTuple):
     """A row of bands over time."""
 
     name: str
-    """What held: a status, or a reason for one."""
+    """What held: a status, or a status and the foremost of its reasons."""
     status: Status | None
     """None: nothing was estimated."""
     spans_ns: tuple[tuple[int, int], ...]
     """From when to when, ascending."""
-
-    @property
-    def seconds(self) -> float:
-        """How long it held in all."""
-        return sum(end - begin for begin, end in self.spans_ns) * 1e-9
+    seconds: float
+    """How long it held in all, as the summary counts it: the reasons of a status add up to it."""
 
 
 def bands(table: Table) -> tuple[Band, ...]:
-    """Return a band for each status that occurs and, below the statuses, for each reason."""
+    """Return a band for each status that occurs and, below the statuses, for each of its reasons.
+
+    Where several reasons hold the foremost is shown.
+    """
     if not len(table):
         return ()
     t_ns = table.stamp_ns
     status = np.nan_to_num(table.column("status"))
-    found = [
-        Band(one.words, one, _spans(t_ns, status == one)) for one in Status if (status == one).any()
-    ]
-    for reason in Reason if REASONS in COLUMNS else ():
-        holds = (np.nan_to_num(table.column(REASONS)).astype(np.int64) & reason) != 0
-        if holds.any():
-            made = int(status[holds].min())  # by itself: others may have made it worse
-            found.append(Band(words_of(reason), Status(made), _spans(t_ns, holds)))
+    reasons = foremost_of(table.column("reasons"))
+    spent = seconds_by_reason(table)
+    found, below = [], []
+    for one in Status:
+        is_one, by_reason = status == one, spent.get(one, {})
+        if is_one.any():
+            found.append(Band(one.words, one, _spans(t_ns, is_one), sum(by_reason.values())))
+        for reason in ORDER:
+            holds = is_one & (reasons == int(reason))
+            if holds.any():
+                name, seconds = f"{one.words}: {WORDS[reason]}", by_reason.get(reason, 0.0)
+                below.append(Band(name, one, _spans(t_ns, holds), seconds))
     gaps = np.flatnonzero(np.diff(t_ns) > GAP_NS)
     if len(gaps):
         spans = zip(t_ns[gaps].tolist(), t_ns[gaps + 1].tolist(), strict=True)
-        found.append(Band(NO_SAMPLES, None, tuple(spans)))
-    return tuple(found)
+        seconds = float(np.diff(t_ns)[gaps].sum() * 1e-9)
+        below.append(Band(NO_SAMPLES, None, tuple(spans), seconds))
+    return (*found, *below)
 
 
 def joined(spans_ns: Sequence[tuple[int, int]], least_ns: int) -> list[tuple[int, int]]:
@@ -62,11 +66,6 @@ def joined(spans_ns: Sequence[tuple[int, int]], least_ns: int) -> list[tuple[int
         else:
             found.append((begin, end))
     return found
-
-
-def words_of(reason: Reason) -> str:
-    """Return a reason in words, without numbers."""
-    return (reason.name or "").lower().replace("_", " ")
 
 
 def _spans(t_ns: Stamps, holds: Mask) -> tuple[tuple[int, int], ...]:

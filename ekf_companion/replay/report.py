@@ -23,7 +23,7 @@ from ekf_companion.nav.reason import (
     to_names,
     to_words,
 )
-from ekf_companion.nav.state import Status, Table, Trajectory
+from ekf_companion.nav.state import Status, Table, Trajectory, join
 from ekf_companion.replay.extent import Extent
 from ekf_companion.replay.left_out import LeftOut
 from ekf_companion.replay.screen import NO_SAMPLES, StampCount
@@ -51,6 +51,8 @@ class Report:
     seconds: dict[Status, float] = field(default_factory=dict)
     reasons: Seconds = field(default_factory=dict)
     """The same by the foremost reason of each; without those of a status that has none."""
+    newest: Table | None = None
+    """The last estimate, from which on the next block's time counts."""
     estimates: int = 0
     reboots: int = 0
     """How often the autopilot's clock began anew."""
@@ -153,8 +155,10 @@ def add_block(report: Report, events: Events, table: Table) -> None:
     report.estimates += len(table)
     report.track.add(events, table)
     report.extent.add(events)
-    if len(table) > 1:
-        for status, by_reason in seconds_by_reason(table).items():
+    if len(table):
+        spans = table if report.newest is None else join([report.newest, table])
+        report.newest = Table(stamp_ns=table.stamp_ns[-1:], values=table.values[-1:])
+        for status, by_reason in seconds_by_reason(spans).items():
             spent = sum(by_reason.values())
             report.seconds[status] = report.seconds.get(status, 0.0) + spent
             if by_reason.keys() != {NONE}:
