@@ -83,6 +83,8 @@ class Tlog:
     """Number of runs of bytes that are no record."""
     notes: tuple[str, ...] = field(default=())
     damage: Damage = UNDAMAGED
+    back: int = 0
+    """Number of records that the recorder stamped earlier than the one before."""
 
     @property
     def began_s(self) -> float | None:
@@ -295,7 +297,18 @@ def read(path: Path) -> Tlog:
         damaged=damaged,
         notes=(*source.notes, *_left_out(source, gaps)),
         damage=_damage(source, gaps),
+        back=_back(records),
     )
+
+
+def _back(records: StoredRows) -> int:
+    """Return how many records are stamped earlier than the one before."""
+    found, newest = 0, records.read(0, 1)["stamp_us"]
+    for _, rows in records.parts():
+        stamps = rows["stamp_us"]
+        found += int(np.count_nonzero(stamps < np.append(newest, stamps[:-1])))
+        newest = stamps[-1:]
+    return found
 
 
 def _counts(records: StoredRows) -> dict[int, int]:

@@ -267,7 +267,11 @@ class Run(Generic[P]):
             report.stamps = self._screen.stamps._replace(lost_share=self.log.lost_share)
         else:
             report.left_out = list(of_telemetry(report.refused, report.counts))
-            report.stamps = stamps_of_telemetry(report.refused, report.counts)
+            share = self.log.back / max(len(self.log), 1)
+            report.stamps = stamps_of_telemetry(report.refused, report.counts, share)
+        if report.estimates and report.stamps.total:
+            used = report.estimates / report.stamps.total
+            report.stamps = report.stamps._replace(unused_share=max(1.0 - used, 0.0))
         report.notes += [one.note for one in report.left_out]
 
     @property

@@ -27,6 +27,8 @@ VELOCITIES = (3, 5)
 """Columns of the velocity north and of that down."""
 
 
+INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
+"""Messages of inertial samples that are read."""
 OFTEN, RARELY = 0.5, 0.05
 """Shares of the inertial samples with a stamp that cannot be: most, and more than some."""
 
@@ -39,6 +41,10 @@ class StampCount(NamedTuple):
     back: int = 0
     lost_share: float = 0.0
     """Of the rows of the file: left out, for they have no time or one that does not fit."""
+    shuffled_share: float = 0.0
+    """Of the frames of a .tlog: recorded earlier than the one before, by their recorder."""
+    unused_share: float = 0.0
+    """Of the samples: no estimate follows from them, for they came too late or out of order."""
 
     @property
     def words(self) -> str:
@@ -47,7 +53,13 @@ class StampCount(NamedTuple):
             return "the times of most rows do not fit each other"
         if self.repeated > RARELY * self.total:
             return "inertial samples share their stamps"
-        return "samples not in the order of their stamps" if self.back > RARELY * self.total else ""
+        if min(self.shuffled_share, self.unused_share) > RARELY:
+            return "frames not in the order in which they came"
+        if self.back > RARELY * self.total:
+            return "samples not in the order of their stamps"
+        if self.unused_share > RARELY:
+            return f"{self.unused_share:.0%} of the inertial samples came too late to be used"
+        return ""
 
     @property
     def note(self) -> str:
@@ -58,10 +70,21 @@ class StampCount(NamedTuple):
                 "before, so they count as one: the stamps are repeated, or have lost digits "
                 "(1.73234e+09 holds six of them); write each sample's own time, with all digits"
             )
+        if min(self.shuffled_share, self.unused_share) > RARELY:
+            return (
+                f"{self.shuffled_share:.0%} of the frames are stamped earlier than the one before, "
+                f"so {self.unused_share:.0%} of the inertial samples gave no estimate: the file is "
+                "not in the order in which they came; sort its records by their stamps"
+            )
         if self.back > RARELY * self.total:
             return (
                 f"{self.back} of {self.total} inertial samples are stamped earlier than the one "
                 "before: the rows are not in the order of their times; sort them by time"
+            )
+        if self.unused_share > RARELY:
+            return (
+                f"{self.unused_share:.0%} of the inertial samples gave no estimate: they stand "
+                "behind later ones by more than the window of the filter; sort them by time"
             )
         return ""
 
@@ -69,18 +92,26 @@ class StampCount(NamedTuple):
     def is_most(self) -> bool:
         """Whether it is so of most samples."""
         worst = max(self.repeated, self.back)
-        return worst > OFTEN * self.total or self.lost_share > OFTEN
+        return worst > OFTEN * self.total or max(self.lost_share, self.unused_share) > OFTEN
 
 
 NO_SAMPLES = StampCount(0)
 
 
-def stamps_of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> StampCount:
-    """Return what the readers of messages found of stamps, by their counts of what was refused."""
+def stamps_of_telemetry(
+    refused: Mapping[str, int], counts: Mapping[Kind, int], shuffled_share: float = 0.0
+) -> StampCount:
+    """Return what the readers of messages found of stamps, by their counts of what was refused.
+
+    A stamp that leaps, or a clock that is set back, again and again, is one out of order too.
+    """
     from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
 
     repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
-    return StampCount(counts.get(Kind.IMU, 0) + repeated + back, repeated, back)
+    leaps = sum(refused.get(f"refused: {one}: stamp leaps", 0) for one in INERTIAL)
+    total = counts.get(Kind.IMU, 0) + repeated + back + leaps
+    back += leaps + refused.get("refused: clock set back", 0)
+    return StampCount(total, repeated, back, shuffled_share=shuffled_share)
 
 
 GYRO_BIAS = 0.005
