@@ -116,6 +116,7 @@ def _estimate(data: Data) -> str:
     horizontal = _number(estimator["std_horizontal"], "m", 2)
     text = f"{estimator['status'].upper()}, start {estimator['start']}"
     text += f", sigma {horizontal} and {_number(estimator['std_vertical'], 'm', 2)}"
+    text += ", receiver 2 in use" if estimator["receiver"] else ""
     text += f", newest sample {_number(data['sample_age_s'], 's', 2)} ago"
     text += f", {estimator['samples']} samples, {estimator['gaps']} gaps"
     text = _with_losses(text, {f"resets for {reason}": n for reason, n in data["resets"].items()})

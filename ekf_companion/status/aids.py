@@ -75,7 +75,10 @@ class AidWatch:
     def update(self, pipeline: Pipeline, session: Session, now_ns: int) -> None:
         """Note what has become of the aids since the last call, and the attitude."""
         x = pipeline.filter_state
-        sources = _sources(int(x.azimuth), bool(x.fix_t > x.raw_fix_t), session.decoder.ranks)
+        is_autopilots, ranks = bool(x.fix_t > x.raw_fix_t), session.decoder.ranks
+        sources = sources_of(
+            int(x.azimuth), is_autopilots=is_autopilots, ranks=ranks, receiver=int(x.receiver)
+        )
         used = {aid: x.count[aid][Verdict.FUSED] + x.count[aid][Verdict.DEWEIGHTED] for aid in Aid}
         refused = {aid: {why: int(x.count[aid][why]) for why in _WHY} for aid in Aid}
         refused[Aid.HEADING][Verdict.DISTURBED] += session.decoder.refused[_NO_FIELD]
@@ -168,12 +171,15 @@ def _state(one: _Watched, now_ns: int) -> AidState:
     )
 
 
-def _sources(azimuth: int, is_autopilots: bool, ranks: tuple[int, ...]) -> dict[Aid, str]:
-    """Return where each aid comes from, by the ranks of the sources in use."""
+def sources_of(
+    azimuth: int, *, is_autopilots: bool, ranks: tuple[int, ...], receiver: int
+) -> dict[Aid, str]:
+    """Return where each aid comes from, by the ranks of the sources and the receiver in use."""
     _, mag, baro, azimuth_rank = ranks
-    position = "GLOBAL_POSITION_INT, the autopilot's own" if is_autopilots else "GPS_RAW_INT"
+    fixes = "GPS2_RAW" if receiver else "GPS_RAW_INT"
+    position = "GLOBAL_POSITION_INT, the autopilot's own" if is_autopilots else fixes
     by_azimuth = {
-        Azimuth.ANTENNA: "GPS_RAW_INT, two antennas",
+        Azimuth.ANTENNA: f"{fixes}, two antennas",
         Azimuth.OTHER: f"{heading.SOURCES[azimuth_rank]}, the autopilot's own",
         Azimuth.MAGNETIC: f"{inertial.SOURCES[mag]}, magnetometer",
         Azimuth.FIELD: f"{inertial.SOURCES[mag]}, magnetometer",

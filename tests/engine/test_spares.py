@@ -9,8 +9,10 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
+from ekf_companion.core.enums import Aid, Azimuth
 from ekf_companion.engine.companion import Companion
 from ekf_companion.nav.state import Status
+from ekf_companion.status.aids import sources_of
 from sim_autopilot.config import SimConfig, SpareConfig
 from sim_autopilot.episodes import error_series
 from sim_autopilot.faults.fault import parse
@@ -90,6 +92,20 @@ def test_a_receiver_that_lies_or_falls_silent_is_left_for_the_second(scenario, f
     companion, t, late = flown(timed, scenario, receivers=1)
     assert is_good(companion, t, late)
     assert companion.pipeline.health().receiver == 1
+
+
+def test_log_and_status_name_the_receiver_that_is_used(caplog):
+    fault = f"gnss-outage:start={BEGIN},duration=999,how=nofix"
+    companion, _, _ = flown.__wrapped__(fault, receivers=1)
+    assert "The receiver in use is number 2, was 1" in caplog.text
+    ranks = companion.session.decoder.ranks
+    azimuth, receiver = int(Azimuth.ANTENNA), companion.pipeline.health().receiver
+    found = sources_of(azimuth, is_autopilots=False, ranks=ranks, receiver=receiver)
+    assert found[Aid.POSITION] == found[Aid.HEIGHT] == found[Aid.VELOCITY] == "GPS2_RAW"
+    assert found[Aid.HEADING] == "GPS2_RAW, two antennas"
+    found = sources_of(azimuth, is_autopilots=False, ranks=ranks, receiver=0)
+    assert found[Aid.HEADING] == "GPS_RAW_INT, two antennas"
+    assert found[Aid.POSITION] == "GPS_RAW_INT"
 
 
 def test_two_receivers_and_three_compasses_without_a_fault_leave_the_firsts_in_use():

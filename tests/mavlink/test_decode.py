@@ -609,6 +609,24 @@ def test_the_heading_of_a_second_receiver_counts_while_the_first_has_no_fix():
     assert heading.std == pytest.approx(math.radians(1.0))
 
 
+@pytest.mark.parametrize("how", ["silent", "frozen"])
+def test_the_heading_of_a_second_receiver_counts_while_the_first_says_nothing_new(how):
+    peer = with_fix()
+    second = {"fix_type": 6, "lat": 473977640, "lon": 85455780, "yaw": 9000, "hdg_acc": 100_000}
+    peer.gps(1_000_000)
+    found = []
+    for t_us in range(1_000_000, 6_000_000, 200_000):
+        if how == "frozen":
+            peer.gps(1_000_000)
+        second["yaw"] = 9000 + t_us // 200_000
+        out = only(HeadingSample, peer.say("gps2_raw", time_usec=t_us, **second))
+        found += [one.t_ns // 1_000_000 for one in out]
+    assert (found[0], found[-1]) == (3_200, 5_800)
+    peer.gps(6_000_000)
+    second["yaw"] += 1
+    assert not only(HeadingSample, peer.say("gps2_raw", time_usec=6_000_000, **second))
+
+
 PLACE = {"lat": 473977635, "lon": 85455780, "alt": 489307, "hdg": 65535}
 
 

@@ -15,7 +15,13 @@ from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.held_heading import HeldHeading
 from ekf_companion.nav.held_velocity import REPEATED, HeldVelocities
-from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
+from ekf_companion.nav.measurements import (
+    SILENT_NS,
+    GnssFix,
+    GnssFlag,
+    HeadingSample,
+    HeadingSource,
+)
 
 _UNKNOWN_16 = 65535
 _NO_GPS, _FIX_3D = 0, 3
@@ -60,6 +66,8 @@ class _Receiver:
         self.is_heard = False
         self.has_fix = False
         """Whether there was one at all."""
+        self.newest_ns: int | None = None
+        """Time of the last new fix that was passed on."""
         self.velocities = HeldVelocities()
         self.yaw = HeldHeading()
 
@@ -94,11 +102,14 @@ class Position:
     def gps2_raw(self, frame: Frame) -> Measurements:
         """Read GPS2_RAW: a receiver that stands by, for the filter to go to.
 
-        Its heading is used while the first has no fix.
+        Its heading is used while the first has no fix, or has had no new one for a while.
         """
         m = unpack(frame)
         out = self._read(self._second, m)
-        return out if self._first.is_good else self._with_heading(self._second, out, m)
+        newest_ns = self._first.newest_ns if self._first.is_good else None
+        if out and newest_ns is not None and out[0].t_ns - newest_ns <= SILENT_NS:
+            return out
+        return self._with_heading(self._second, out, m)
 
     def _with_heading(self, receiver: _Receiver, fixes: Measurements, m: Any) -> Measurements:
         """Return the fix of a message, if there is one, with the heading of its antennas.
@@ -128,6 +139,7 @@ class Position:
             # The one message before the first fix can be 140 km off
             return self._context.refuse(f"{receiver.message}: first after none")
         self._compare_heights(receiver.message, m)
+        receiver.newest_ns = t_ns
         return [self._with_velocity(receiver, self._fix(m, t_ns, receiver.flags))]
 
     def _with_velocity(self, receiver: _Receiver, fix: GnssFix) -> GnssFix:
