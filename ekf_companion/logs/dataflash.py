@@ -296,7 +296,7 @@ class _Magnetometer:
             return []
         table, t_ns = rows
         field = np.stack([table[name] for name in NEEDED["MAG"]], axis=1) * 1e-3  # mGauss
-        healthy = np.any(field != 0.0, axis=1)
+        healthy = np.ones(len(table), dtype=bool)
         if "Health" in names_of(table):
             healthy &= table["Health"] != 0
         compass = np.zeros(len(table))

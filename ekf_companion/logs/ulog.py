@@ -294,7 +294,7 @@ def _attitude_heading(topics: Topics) -> Arrivals:
 def _magnetometer(topic: Topic) -> Arrivals:
     is_array = "magnetometer_ga[0]" in topic
     field = vectors(topic, "magnetometer_ga") if is_array else series.stack(topic, *"xyz")
-    valid = known_rows(field) & (field != 0.0).any(axis=1)
+    valid = known_rows(field)
     if PLACE not in topic:
         return _events(topic, Kind.MAG, valid, *field.T)
     return _events(topic, Kind.MAG, valid, *field.T, topic[PLACE].astype(float))

@@ -48,7 +48,8 @@ cdef class BlockReader(RowWriter):
     cdef bint read_fix(self, Py_ssize_t i) except -1
     cdef write_heading(self, long long t_ns, double yaw)
     @cython.locals(
-        t_us=cython.longlong, t_ns=cython.longlong, rank=cython.int, has_field=bint, has_pressure=bint,
+        t_us=cython.longlong, t_ns=cython.longlong, rank=cython.int, has_field=bint, is_zero=bint,
+        has_pressure=bint,
         row=double[::1]
     )
     cdef bint read_inertial(self, Py_ssize_t k) except -1

@@ -332,7 +332,8 @@ class BlockReader(RowWriter):
         if not isfinite(row[0] + row[1] + row[2] + row[3] + row[4] + row[5]):
             return False
         has_field = self.updated[k] & HAS_FIELD == HAS_FIELD
-        has_field = has_field and not (row[6] == 0.0 and row[7] == 0.0 and row[8] == 0.0)
+        is_zero = has_field and row[6] == 0.0 and row[7] == 0.0 and row[8] == 0.0
+        has_field = has_field and not is_zero
         has_pressure = self.updated[k] & HAS_PRESSURE != 0 and row[9] != 0.0
         if has_field and not self.can_read_field(row):
             return False
@@ -357,6 +358,8 @@ class BlockReader(RowWriter):
         t_ns = self.write_sample(t_us, row)
         if has_field:
             self.write_field(t_ns, row)
+        elif is_zero and self.has_field:
+            self.decoder.context.refused["mag: of zeros"] += 1
         if has_pressure:
             self.write_pressure(t_ns, row[9])
         return True

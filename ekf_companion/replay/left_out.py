@@ -60,6 +60,10 @@ _WORDS = {
 """Held headings are not among them: slow receivers repeat theirs, and it does no harm."""
 
 
+_LOST = (STUCK, ZERO, REPEATED, NO_FIELD)
+"""Reasons for which a whole measurement is left out."""
+
+
 class LeftOut(NamedTuple):
     """Measurements of a kind that were left out for one reason."""
 
@@ -95,6 +99,7 @@ def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iter
         *((Kind.IMU, message, why, why) for message in SOURCES for why in (STUCK, LIMITED, ZERO)),
         *((Kind.GNSS, message, why, why) for message in receivers for why in VELOCITIES),
         (Kind.HEADING, receivers[0], f"yaw {REPEATED}", REPEATED),
+        (Kind.MAG, "mag", NO_FIELD, NO_FIELD),
     ]
     found = [
         (kind, why, refused[name])
@@ -103,5 +108,5 @@ def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iter
     ]
     for kind, why, count in found:
         # A fix is used without its velocity, and a sample at the end of its range
-        lost = sum(n for one, of, n in found if one is kind and of in (STUCK, ZERO, REPEATED))
+        lost = sum(n for one, of, n in found if one is kind and of in _LOST)
         yield LeftOut(kind, why, count, counts.get(kind, 0) + lost)

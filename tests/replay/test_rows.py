@@ -9,7 +9,7 @@ from ekf_companion.nav.held_velocity import ALWAYS_ZERO, HELD
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
-from ekf_companion.replay.left_out import VERTICAL_ZERO, LeftOut, of_telemetry
+from ekf_companion.replay.left_out import NO_FIELD, VERTICAL_ZERO, LeftOut, of_telemetry
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.verdict import Evidence, judge
 from tests.rows import BOOT_NS, FORMATS, UTC_ZERO_US, Rows, convert, write
@@ -244,6 +244,28 @@ def test_a_date_long_before_the_firmware_is_not_used(rows, tmp_path):
     found, notes = utc_us(rows, "ulg", tmp_path)
     assert found is None
     assert "before the firmware" in notes
+
+
+@in_every_format
+@pytest.mark.parametrize(("begin", "end"), [(15, 40), (30, 99)])
+def test_a_field_of_zeros_is_named_in_every_format(rows, kind, begin, end, tmp_path):
+    since = (rows.mag_ns - BOOT_NS) * 1e-9
+    is_zero = (since > begin) & (since < end)
+    rows.mag[is_zero] = 0.0
+    found = convert(rows, kind, tmp_path)
+    count = np.count_nonzero(is_zero)
+    # RAW_IMU and SCALED_IMU bring the field with each sample, twice as often
+    times = 1 if kind in (*TABLES, "HIGHRES_IMU") else 2
+    assert left_out(found)[NO_FIELD] == pytest.approx(times * count, abs=times + 1)
+    assert "magnetic fields are of zeros: they were not used" in found.notes
+    assert "magnetic fields of zeros" in verdict(found)
+
+
+@pytest.mark.parametrize("kind", ["HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"])
+def test_zeros_of_a_vehicle_without_a_compass_are_not_named(rows, kind, tmp_path):
+    rows.mag[:] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert NO_FIELD not in left_out(found)
 
 
 def test_the_counts_of_a_telemetry_log_become_the_words_of_any_log():

@@ -80,7 +80,9 @@ class Magnetometer:
     def add(self, out: Measurements, rank: int, t_ns: int, x: float, y: float, z: float) -> None:
         """Append a field in gauss if it may be the Earth's and is not the last one again."""
         if (x, y, z) == (0.0, 0.0, 0.0):
-            return  # no magnetometer
+            if self.last:  # else there is no magnetometer
+                self._context.refused["mag: of zeros"] += 1
+            return
         if self.compasses.used:
             if rank < FIRST_OTHER:
                 self._first = (x, y, z)
