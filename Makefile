@@ -125,6 +125,7 @@ sitl: $(STAMP)
 # A quarter of an hour: 10^7 bytes, 10^6 messages, then what coverage leads to
 fuzz: $(STAMP)
 	$(BIN)/python -m benchmarks.reliability.fuzz
+	$(BIN)/python -m benchmarks.reliability.damaged
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
 	$(BIN)/python -m benchmarks.reliability.guided stream tlog bin ulg csv txt mat --seconds 60
 

@@ -96,7 +96,8 @@ def _primary_lanes(tables: Tables) -> dict[str, Wanted]:
     for message, name, _, _ in sorted(_LANES, key=lambda one: one[3] != flies):
         table = tables.get(message)
         if table is not None and "PI" in table.names:
-            found[name] = _changes(table, "PI", lambda rows: np.ones(len(rows), dtype=bool))
+            # Before one is chosen it is -1
+            found[name] = _changes(table, "PI", lambda rows: np.asarray(rows["PI"] >= 0))
     return {name: some for name, some in found.items() if some}
 
 

@@ -66,6 +66,10 @@ _TYPES: dict[str, tuple[str, float]] = {
     "Z": ("S64", 1),
 }
 """The field's type in the file and its scale, by format character."""
+_TEXT = "nNZ"
+"""The characters of text."""
+_TEXTS = ("Name", "Message")
+"""The columns that are read as text. A damaged FMT may declare any column as anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +170,17 @@ def _find_records(file: MappedFile, names: Wanted) -> _Found:
 
 
 def _kept(layout: _Format, names: Wanted) -> Collection[str]:
-    """Return the columns that are kept of a message."""
-    kept = None if names is None else names[layout.name]
-    return layout.names if kept is None else kept
+    """Return the columns that are kept of a message: of one that is wanted no text for a number."""
+    if names is None:
+        return layout.names
+    wanted = names[layout.name]
+    return [
+        name
+        for name, character in zip(layout.names, layout.characters, strict=True)
+        if (wanted is None or name in wanted)
+        and (character in _TEXT) == (name in _TEXTS)
+        and character != "a"
+    ]
 
 
 def _gather(file: MappedFile, places: Stamps, layout: _Format, kept: Collection[str]) -> Column:

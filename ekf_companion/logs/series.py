@@ -41,8 +41,13 @@ HEADING_RATE = 10.0
 
 
 def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
-    """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
-    return np.asarray(np.minimum(stamps_us, LATEST_US), dtype=np.int64) * 1000
+    """Convert microseconds to ns; what would overflow is damage, and stays huge.
+
+    Damage may also declare them of another type: what is below zero, or no number, is 0.
+    """
+    if stamps_us.dtype.kind != "u":
+        stamps_us = np.where(stamps_us > 0, stamps_us, 0)
+    return np.asarray(np.minimum(stamps_us, np.uint64(LATEST_US)), dtype=np.int64) * 1000
 
 
 def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:

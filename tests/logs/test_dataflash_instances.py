@@ -211,6 +211,13 @@ def test_the_sensor_of_a_lane_follows_from_the_mask_of_those_that_have_one(log, 
     assert samples.values[0, 0] == pytest.approx(0.01 + BIAS * number, abs=1e-6)
 
 
+def test_before_a_lane_is_chosen_there_is_none(log, read):
+    log.parameters = {b"EK3_IMU_MASK": 2.0}
+    log.lane = lambda s: -3 if s < 3 else -1 if s < 6 else 0
+    recording = read(log)
+    assert recording.notes[0] == "IMU: instance 1 is used as by the autopilot; the log also holds 0"
+
+
 def test_compass_and_barometer_are_those_of_the_primary_lane_and_go_on_from_those_before(log, read):
     log.lane = lambda s: int(s >= 12)
     log.fuses = lambda lane, s: (lane, lane)
