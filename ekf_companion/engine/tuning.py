@@ -155,13 +155,15 @@ class Tuning:
     def _recall(self, data: bytes, name: str) -> None:
         try:
             kept = msgspec.json.decode(data, type=dict[str, object])
-        except (msgspec.DecodeError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             _log.warning("%s: holds no parameters; those of the configuration count", name)
             return
-        for key, value in kept.items():
-            if key not in _TUNABLE:
-                _log.warning("%s: %s: is no parameter any more; dropped", name, key)
-                continue
+        if gone := sorted(kept.keys() - _TUNABLE.keys()):
+            others = f" and {len(gone) - 1} more" if len(gone) > 1 else ""
+            words = "%s: %.60r%s: is no parameter any more; dropped"
+            _log.warning(words, name, gone[0], others)
+        for key in sorted(kept.keys() & _TUNABLE.keys()):
+            value = kept[key]
             if _ends(key, value):
                 _log.warning(
                     "%s: %s: %s counts in the run that it is set in; dropped", name, key, value
