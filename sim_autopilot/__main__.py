@@ -6,7 +6,6 @@ Long argument lists are the options of a command.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -17,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from ekf_companion.cli.command import Command
+from ekf_companion.cli.command import Command, Group
 from ekf_companion.errors import CompanionError
 from sim_autopilot import demo as demonstration
 from sim_autopilot import replay as replaying
@@ -32,11 +31,13 @@ from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.fly import over, play, run
 from sim_autopilot.loop import Bench, StreamRequester
 from sim_autopilot.personality import Kind, Personality
-from sim_autopilot.recording import TlogWriter, write_truth
+from sim_autopilot.recording import TlogWriter, write_score, write_truth
 from sim_autopilot.scenarios import SCENARIOS
 from sim_autopilot.score_table import sentences, table
 
 app = typer.Typer(
+    name="sim-autopilot",
+    cls=Group,
     help="A fake autopilot: flies, speaks MAVLink, and scores the estimate that comes back.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -115,7 +116,7 @@ def fly(
         }
         result["faults"] = summaries(flown.witness, flight, faults)
         if score is not None:
-            score.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+            write_score(score, result)
     _report(result, {})
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import socket
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import Flown, over, run
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.recording import write_truth
+from sim_autopilot.recording import write_score, write_truth
 from sim_autopilot.score_table import TITLES
 
 LIMITS = {
@@ -74,7 +73,7 @@ def fly(
     tell("comparing with the truth")
     score = flown.witness.score()
     score["pacing_late_ms"] = flown.pace.lateness()
-    (out / "score.json").write_text(json.dumps(score, indent=2) + "\n", encoding="utf-8")
+    write_score(out / "score.json", score)
     files = [out / "score.json", out / "truth.csv", out / "daemon.log"]
     tell("drawing the figure")
     with contextlib.suppress(ImportError):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ekf_companion.logs.writer import create
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from sim_autopilot.flight import Flight
@@ -63,7 +64,8 @@ def draw(path: Path, flight: Flight, witness: Witness, score: dict[str, Any]) ->
         fontsize=13,
         fontweight="bold",
     )
-    figure.savefig(path, dpi=110)
+    with create(path) as file:
+        figure.savefig(file, format=path.suffix[1:] or "png", dpi=110)
 
 
 def _draw_track(axis: Any, flight: Flight, truth: Truth, estimate: Estimate) -> None:

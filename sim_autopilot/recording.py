@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+import json
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 
+from ekf_companion.logs.writer import create
 from ekf_companion.nav import so3
 from sim_autopilot.flight import Flight
 
@@ -22,8 +26,8 @@ _CHUNK = 4096
 
 def write_truth(path: Path, flight: Flight) -> None:
     """Write the motion at every inertial sample."""
-    with path.open("w", encoding="ascii", newline="\n") as file:
-        file.write(TRUTH_HEADER + "\n")
+    with create(path) as file:
+        file.write(f"{TRUTH_HEADER}\n".encode())
         for start in range(0, len(flight), _CHUNK):
             t = flight.imu.t[start : start + _CHUNK]
             truth = flight.trajectory.at(t)
@@ -40,14 +44,21 @@ def write_truth(path: Path, flight: Flight) -> None:
                     truth.rate_nb_b,
                 ]
             )
-            file.writelines(_ROW % tuple(row) + "\n" for row in table.tolist())
+            file.writelines(f"{_ROW % tuple(row)}\n".encode() for row in table.tolist())
+
+
+def write_score(path: Path, score: dict[str, Any]) -> None:
+    """Write a score as JSON."""
+    with create(path) as file:
+        file.write(f"{json.dumps(score, indent=2)}\n".encode())
 
 
 class TlogWriter(AbstractContextManager["TlogWriter"]):
     """A telemetry log: before each frame its time, in microseconds since 1970."""
 
     def __init__(self, path: Path, unix: float) -> None:
-        self._file = path.open("wb")
+        self._stack = ExitStack()
+        self._file = self._stack.enter_context(create(path))
         self._unix_us = round(unix * 1e6)
 
     def write(self, now_ns: int, frame: bytes) -> None:
@@ -56,5 +67,13 @@ class TlogWriter(AbstractContextManager["TlogWriter"]):
         stamp = (self._unix_us + now_ns // 1000) & ~3
         self._file.write(stamp.to_bytes(8, "big") + frame)
 
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Give the file its name; after an error drop it. A flight stopped by Ctrl-C is whole."""
+        if kind is KeyboardInterrupt:
+            kind = error = trace = None
+        self._stack.__exit__(kind, error, trace)

@@ -21,7 +21,7 @@ from typing import Protocol, TextIO
 
 from ekf_companion.analysis.batch import COLUMNS, Row, examine, failed
 from ekf_companion.config.config import Config
-from ekf_companion.errors import ConfigError
+from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.version import __version__
 
 _BEGIN = re.compile(r'\[("[0-9a-f]{0,16}("(,( ({}?)?)?)?)?)?')
@@ -104,7 +104,8 @@ def run(
     """Examine logs, those in the journal excepted; return their rows in the order of the logs.
 
     Raises:
-        ConfigError: The journal cannot be written, or what has its name is none.
+        LogError: The journal cannot be written.
+        ConfigError: What has its name is no journal.
     """
     keys = {log: _key(log) for log in logs}
     written = _read_journal(journal, config)
@@ -125,7 +126,7 @@ def run(
                 if progress is not None:
                     progress(done, total)
     except OSError as error:
-        raise ConfigError(f"{journal}: cannot be written: {error.strerror}") from error
+        raise LogError(f"{journal}: cannot be written: {error.strerror}") from error
     return [rows[log] for log in logs]
 
 

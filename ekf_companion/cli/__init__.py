@@ -2,8 +2,9 @@
 
 Exit codes: 0 done, 1 a package of an extra is missing or a bug, 2 the command line or the
 configuration is wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from,
-4 ``status`` finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that
-fails, or ``preflight`` what speaks against a take-off, 6 ``preflight`` finds the vehicle armed.
+or an output cannot be written, 4 ``status`` finds no daemon (and 1 one that is not healthy), 5 the
+doctor has found a stage that fails, or ``preflight`` what speaks against a take-off, 6
+``preflight`` finds the vehicle armed.
 """
 
 from __future__ import annotations
@@ -13,9 +14,8 @@ from importlib import import_module
 from typing import Annotated, Any, NamedTuple, cast
 
 import typer
-from typer.core import TyperGroup
 
-from ekf_companion.cli.command import Command
+from ekf_companion.cli.command import Command, Group
 from ekf_companion.errors import MissingPackageError, NotCompiledError
 from ekf_companion.version import __version__
 
@@ -129,7 +129,7 @@ class _Command(Command):
             raise
 
 
-class _Commands(TyperGroup):
+class _Commands(Group):
     """The commands, each imported when it is called: the help of all starts without any."""
 
     def list_commands(self, ctx: object) -> list[str]:
@@ -169,6 +169,7 @@ class _Commands(TyperGroup):
 
 
 app = typer.Typer(
+    name="ekf-companion",
     cls=_Commands,
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
     no_args_is_help=True,

@@ -123,6 +123,8 @@ class StateFile:
                 sync(self.path.parent)
             self._is_failing = False
         except OSError as error:
+            with contextlib.suppress(OSError):
+                self._new_path.unlink()  # the half of it takes room from others
             self._complain(error)
 
     def _complain(self, error: OSError) -> None:

@@ -129,15 +129,17 @@ class TlogFolder:
     def _add_to_list(self, name: str) -> None:
         """Add a file to the list; if the disk refuses, it is known in this run only."""
         self._begun.append(name)
+        new = self._list.with_name(self._list.name + ".new")
         try:
             if self._list.exists() and self._list.stat().st_size > LIST_SIZE:
-                new = self._list.with_name(self._list.name + ".new")
                 kept = [one for one in self._listed() if (self.path / one).exists()]
                 new.write_bytes(os.fsencode("".join(f"{one}\n" for one in kept)))
                 new.replace(self._list)
             with self._list.open("ab") as lines:
                 lines.write(os.fsencode(f"{name}\n"))
         except OSError as error:
+            with suppress(OSError):
+                new.unlink()
             _log.warning("%s: %s; a later run may not know our files", self._list, error.strerror)
 
     def _listed(self) -> list[str]:

@@ -121,6 +121,8 @@ def create(path: Path) -> Iterator[BinaryIO]:
         LogError: It cannot be opened, or there is no room for it.
     """
     if path == STDOUT:
+        if sys.stdout is None:
+            raise LogError("-: the standard output is closed; name a file")
         yield sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
@@ -129,19 +131,30 @@ def create(path: Path) -> Iterator[BinaryIO]:
     try:
         file = target.open("wb")
     except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
+        raise _not_written(path, error) from error
     try:
         with file:
             yield file
         if is_plain:
-            target.replace(path)
+            _give_name(target, path)
     except BaseException as error:
         if is_plain:
             target.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.errno in NO_ROOM:
-            older = "; the older file of that name is as it was" if path.is_file() else ""
-            raise LogError(f"{path}: cannot be written: {error.strerror}{older}") from error
+            raise _not_written(path, error) from error
         raise
+
+
+def _give_name(target: Path, path: Path) -> None:
+    try:
+        target.replace(path)
+    except OSError as error:  # the older one is another user's, or may not be changed
+        raise _not_written(path, error) from error
+
+
+def _not_written(path: Path, error: OSError) -> LogError:
+    older = "; the older file of that name is as it was" if path.is_file() else ""
+    return LogError(f"{path}: cannot be written: {error.strerror}{older}")
 
 
 class Thinning:

@@ -1,5 +1,7 @@
-"""Outputs for which there is no room: a sentence, and the older file as it was."""
+"""Outputs that cannot be written: a sentence, and the older file as it was."""
 
+import ctypes
+import os
 import resource
 import subprocess
 import sys
@@ -9,49 +11,146 @@ from typer.testing import CliRunner
 
 from sim_autopilot.__main__ import app as sim
 
-ROOM = 8192
+ROOM = 4096
 """Bytes that a file may have."""
-OUTPUTS = {
-    "convert": [".csv", ".tlog", ".mcap", ".parquet", ".tum", ".kml", ".gpx", ".ulg"],
-    "convert --smooth": [".csv", ".parquet"],
-    "report": [".html"],
-    "compare --skip 5 --plot": [".png", ".svg"],
-    "observability --plot": [".png"],
+DROP_FROM_BOUNDING_SET, CAP_DAC_OVERRIDE = 24, 1
+"""Of prctl(2): what lets root write to any folder."""
+ESTIMATES = [".csv", ".tlog", ".mcap", ".parquet", ".tum", ".kml", ".gpx", ".ulg"]
+FLIGHT = ["generate", "--scenario", "hover", "--duration", "5", "--imu-rate", "100"]
+COMMANDS = {
+    "convert LOG -o": ESTIMATES,
+    "convert LOG --smooth -o": [".csv", ".parquet"],
+    "convert LOG --filter ahrs -o": [".csv"],
+    "report LOG -o": [".html"],
+    "compare LOG --skip 5 --plot": [".png", ".svg"],
+    "observability LOG --plot": [".png"],
+    "calibrate delay LOG --plot": [".pdf"],
+    "calibrate mag LOG --plot": [".png"],
+    "batch LOG LOG2 LOG3 LOG4 -o": [".csv", ".parquet"],
+    f"sim {' '.join(FLIGHT)} -o": [".tlog"],
+    f"sim {' '.join(FLIGHT)} -o OTHER.tlog --truth": [".csv"],
 }
+QUICK = ["convert LOG -o.tlog", "report LOG -o.html", f"sim {' '.join(FLIGHT)} -o.tlog"]
+CASES = [
+    pytest.param(command, suffix, marks=[] if command + suffix in QUICK else pytest.mark.campaign)
+    for command, suffixes in COMMANDS.items()
+    for suffix in suffixes
+]
+IN_ANY_FOLDER = os.geteuid() == 0
+"""Whether we may write there if nothing is dropped."""
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "flight.tlog"
-    words = ("generate", "--scenario", "figure-eight", "--duration", "20", "--imu-rate", "100")
+    words = ("generate", "--scenario", "figure-eight", "--duration", "30", "--imu-rate", "100")
     result = CliRunner().invoke(sim, [*words, "-o", str(path)])
     assert result.exit_code == 0, result.output
+    for number in (2, 3, 4):
+        path.with_name(f"flight{number}.tlog").write_bytes(path.read_bytes())
     return path
 
 
-CASES = [
-    pytest.param(words, suffix, marks=[] if suffix in (".tlog", ".html") else pytest.mark.campaign)
-    for words, suffixes in OUTPUTS.items()
-    for suffix in suffixes
-]
-
-
-@pytest.mark.parametrize(("words", "suffix"), CASES)
-def test_a_full_disk_is_a_sentence_and_leaves_the_older_file(log, tmp_path, words, suffix):
-    command, *options = words.split()
-    out = tmp_path / f"out{suffix}"
-    out.write_text("older")
-    option = options.pop() if options and options[-1] == "--plot" else "-o"
-    run = [sys.executable, "-m", "ekf_companion", command, str(log), *options, option, str(out)]
-    done = subprocess.run(
-        run,
-        capture_output=True,
+def run(command, log, out, before=None, stdout=subprocess.PIPE):
+    """Run a command that is to write a file, in a process of its own."""
+    first, *words = command.split()
+    module = ["sim_autopilot"] if first == "sim" else ["ekf_companion", first]
+    logs = {"LOG": log, **{f"LOG{n}": log.with_name(f"flight{n}.tlog") for n in (2, 3, 4)}}
+    logs["OTHER.tlog"] = log.with_name("other.tlog")
+    words = [str(logs.get(word, word)) for word in words]
+    return subprocess.run(
+        [sys.executable, "-m", *module, *words, *([] if out is None else [str(out)])],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
         text=True,
         check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM)),
+        preexec_fn=before,
     )
-    assert done.returncode not in (0, -25), done.stderr
-    assert "Traceback" not in done.stderr, done.stderr
-    assert "cannot be written" in " ".join(done.stderr.split()), done.stderr
-    assert out.read_text() == "older"
+
+
+def check(done, words):
+    """Check for one sentence, and the exit code of README: sim-autopilot has but one."""
+    text = " ".join(done.stderr.split())
+    assert "Traceback" not in text, done.stderr
+    assert words in text, done.stderr
+    assert done.returncode == (2 if "ekf-companion: " not in text else 3), done.stderr
+
+
+def no_room():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))
+
+
+def no_right():
+    """Write only where the owner may, root as anybody."""
+    if IN_ANY_FOLDER:
+        ctypes.CDLL(None).prctl(DROP_FROM_BOUNDING_SET, CAP_DAC_OVERRIDE, 0, 0, 0)
+
+
+@pytest.mark.parametrize(("command", "suffix"), CASES)
+def test_a_full_disk_is_a_sentence_and_leaves_the_older_file(log, tmp_path, command, suffix):
+    out = tmp_path / f"out{suffix}"
+    out.write_text("older")
+    check(run(command, log, out, no_room), "cannot be written: File too large")
+    assert out.read_bytes() == b"older"
+    left = {one.name for one in tmp_path.iterdir()}
+    assert left - {f"{out.name}.journal"} == {out.name}  # with which a batch goes on
+
+
+@pytest.mark.parametrize(("command", "suffix"), CASES)
+def test_a_device_without_room_is_a_sentence(log, tmp_path, command, suffix):
+    out = tmp_path / f"out{suffix}"
+    out.symlink_to("/dev/full")
+    check(run(command, log, out), "cannot be written: No space left on device")
+    assert out.is_symlink()
+
+
+@pytest.mark.parametrize(("command", "suffix"), CASES)
+def test_a_folder_that_takes_no_file_is_a_sentence(log, tmp_path, command, suffix):
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    out = folder / f"out{suffix}"
+    out.write_text("older")
+    folder.chmod(0o555)
+    try:
+        check(run(command, log, out, no_right), "cannot be written: Permission denied")
+        assert out.read_bytes() == b"older"
+        assert [one.name for one in folder.iterdir()] == [out.name]
+    finally:
+        folder.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    "command", ["convert LOG -o -", "compare LOG", "doctor --log LOG", "--version", "sim scenarios"]
+)
+def test_a_standard_output_without_room_is_a_sentence(log, command):
+    with open("/dev/full", "w") as full:
+        done = run(command, log, None, stdout=full)
+    who = "sim-autopilot" if command.startswith("sim") else "ekf-companion"
+    words = f"{who}: the standard output cannot be written: No space left on device\n"
+    assert (done.returncode, done.stderr) == (3, words)
+
+
+def test_a_standard_output_that_is_closed_is_a_sentence(log):
+    done = run("convert LOG -o -", log, None, lambda: os.close(1))
+    assert done.returncode == 3
+    assert done.stderr == "ekf-companion: -: the standard output is closed; name a file\n"
+
+
+def test_a_reader_that_has_seen_enough_gets_no_words(log):
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w") as pipe:
+        done = run("convert LOG -o -", log, None, stdout=pipe)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_batch_goes_on_where_the_disk_was_full(log, tmp_path):
+    out = tmp_path / "table.csv"
+    journal = tmp_path / "table.csv.journal"
+    command = "batch LOG LOG2 LOG3 LOG4 -o"
+    check(run(command, log, out, no_room), "cannot be written: File too large")
+    rows = journal.read_text().count("\n")
+    assert rows > 1
+    assert run(command, log, out).returncode == 0
+    assert out.read_text().count("\n") == 5
     assert [one.name for one in tmp_path.iterdir()] == [out.name]

@@ -115,6 +115,19 @@ def test_trouble_is_said_once_and_its_end_is_noticed(tmp_path, caplog):
     close(file)
 
 
+def test_a_full_disk_leaves_the_older_state_whole_and_no_half_of_a_new_one(tmp_path, caplog):
+    (tmp_path / "checkpoint").write_bytes(OLD)
+    (tmp_path / "checkpoint.new").symlink_to("/dev/full")
+    file = CheckpointFile(tmp_path / "checkpoint", 1.0)
+    assert file.read() == OLD
+    file.write(NEW)
+    wait_until(lambda: file._written is NEW and not file._worker.busy_s)
+    assert "No space left on device; a restart would align anew" in caplog.text
+    assert [one.name for one in tmp_path.iterdir()] == ["checkpoint"]
+    assert (tmp_path / "checkpoint").read_bytes() == OLD
+    close(file)
+
+
 def test_one_is_due_at_its_interval_and_at_every_reset(tmp_path):
     file = CheckpointFile(tmp_path / "checkpoint", 2.0)
     close(file)
