@@ -158,16 +158,16 @@ class GnssSettings:
     slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
     """Time constant of that slow error."""
     position_std: Annotated[
-        NotNegative, Setting("m", reload=True, param=Param(5, "EC_GPS_POS_NSE", 0.0, 50.0))
+        NotNegative, Setting("m", reload=True, param=Param(5, "EC_GPS_POS_NSE", 0.005, 50.0))
     ] = 0.1
     """Least one sigma of the white noise of a horizontal axis, whatever the receiver claims. Raise
     it among houses and trees; lower it to 0.02 for RTK."""
     height_std: Annotated[
-        NotNegative, Setting("m", reload=True, param=Param(6, "EC_GPS_HGT_NSE", 0.0, 50.0))
+        NotNegative, Setting("m", reload=True, param=Param(6, "EC_GPS_HGT_NSE", 0.01, 50.0))
     ] = 0.2
     """Least one sigma of the white noise of the height, likewise; 0.04 for RTK."""
     velocity_std: Annotated[
-        NotNegative, Setting("m/s", reload=True, param=Param(7, "EC_GPS_VEL_NSE", 0.0, 10.0))
+        NotNegative, Setting("m/s", reload=True, param=Param(7, "EC_GPS_VEL_NSE", 0.005, 10.0))
     ] = 0.05
     """Least one sigma of the velocity per axis."""
     velocity_slow_std: Annotated[NotNegative, Setting("m/s", reload=True)] = 0.03

@@ -22,6 +22,8 @@ from ekf_companion.mavlink.parameters import Parameter
 
 _log = logging.getLogger(__name__)
 
+ROUNDING = 1e-6
+"""Of a float32 and of a probability, as a share."""
 AUTO = -1.0
 """Stands for ``auto`` where a number may be given instead."""
 
@@ -88,9 +90,15 @@ def apply(config: Config, name: str, number: float) -> Config:
     if name not in _TUNABLE:
         raise ConfigError(f"{name}: is no parameter; known are {', '.join(_TUNABLE)}")
     key, param = _TUNABLE[name]
-    if not param.lowest <= number <= (highest := _highest(key, param)):
-        raise ConfigError(f"{name}: {number} is not in {param.lowest} to {highest}")
+    _check(key, param, number)
     return with_value(config, name, _value(key, param, number))
+
+
+def _check(key: Key, param: Param, number: float) -> None:
+    """Refuse a number that is out of a parameter's range; beside it rounding is allowed for."""
+    lowest, highest = param.lowest, _highest(key, param)
+    if not lowest - ROUNDING * abs(lowest) <= number <= highest + ROUNDING * abs(highest):
+        raise ConfigError(f"{key.name}: {number} is not in {lowest} to {highest}")
 
 
 class Tuning:
@@ -171,12 +179,12 @@ class Tuning:
                 continue
             try:
                 # Checked as a file is
-                self.config = parse_config(
-                    describe_config(with_value(self.config, key, value)), name
-                )
+                config = parse_config(describe_config(with_value(self.config, key, value)), name)
+                _check(*_TUNABLE[key], _number(*_TUNABLE[key], value_of(config, key)))
             except ConfigError as error:
                 _log.warning("%s; dropped", error)
             else:
+                self.config = config
                 _log.info("%s: %s is %s, as set over MAVLink", name, key, value)
 
 

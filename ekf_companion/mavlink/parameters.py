@@ -107,7 +107,8 @@ class ParameterServer(Service):
         if request.param_type != _REAL32:
             self.refused["PARAM_SET: is no REAL32"] += 1
         elif not parameter.accepts(value):
-            self.refused["PARAM_SET: out of range"] += 1
+            why = f"{parameter.name} is not in {parameter.lowest:g} to {parameter.highest:g}"
+            self.refused[f"PARAM_SET: {why}"] += 1
         elif value != _float32(self._values[index]):
             self._values[index] = value = _written(value)
             self._emit(ParameterSet(parameter.name, parameter.key, value, parameter.is_late))

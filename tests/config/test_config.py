@@ -92,7 +92,7 @@ def test_the_reference_is_as_make_reference_writes_it():
 def test_the_reference_says_unit_range_reload_and_parameter():
     text = " ".join(REFERENCE.read_text().replace("#", "").split())
     for said in (
-        "[m; 0 or more; reloadable; EC_GPS_POS_NSE 0 to 50] position_std: 0.1",
+        "[m; 0 or more; reloadable; EC_GPS_POS_NSE 0.005 to 50] position_std: 0.1",
         "[s; -1 to 1 or auto; EC_GPS_DELAY -1 auto, to 1] delay: auto",
         "auto: 0.085 for ArduPilot, 0.05 for PX4, 0 for others. [s;",
         "[auto, always or never; reloadable; EC_ODOM_MODE 0 auto, 1 always, 2 never] mode: auto",

@@ -1,6 +1,7 @@
 """What may be turned in the field."""
 
 import logging
+import math
 
 import pytest
 
@@ -127,6 +128,10 @@ def test_a_guard_that_was_lifted_over_the_link_is_set_again_at_the_next_start(ca
         (b'{"old.key": 1}', "'old.key': is no parameter any more; dropped"),
         (b'{"link.url": "tcp:evil:1"}', "'link.url': is no parameter any more; dropped"),
         (b'{"baro.std": -1.0}', "baro.std: -1.0"),
+        (b'{"gnss.position_std": 1.4e-45}', "gnss.position_std: 1.4e-45 is not in 0.005 to 50"),
+        (b'{"gnss.velocity_std": 0.0}', "gnss.velocity_std: 0.0 is not in 0.005 to 10"),
+        (b'{"imu.gyro_noise": 5}', "imu.gyro_noise: 5.0 is not in 1e-05 to 0.1"),
+        (b'{"gate.probability": 0.51}', "gate.probability: 0.6"),
         (b'{"baro.use": "perhaps"}', "baro.use: 'perhaps'"),
         (b'{"baro.std": {"a": 1}}', "baro.std"),
     ],
@@ -134,6 +139,22 @@ def test_a_guard_that_was_lifted_over_the_link_is_set_again_at_the_next_start(ca
 def test_what_cannot_be_meant_is_dropped_and_said(caplog, data, words):
     assert Tuning(Config(), data, "kept").config == Config()
     assert words in caplog.text
+
+
+@pytest.mark.parametrize("parameter", TABLE, ids=lambda one: one.name)
+def test_what_nobody_can_mean_is_refused_and_both_ends_are_kept_for_the_next_run(parameter):
+    nonsense = [1.4e-45, -1.4e-45, 1e-38, 3e38, -3e38, 1e9, math.nan, math.inf, -2.0]
+    if not parameter.is_whole and parameter.lowest > 0.0:
+        nonsense.append(0.0)
+    if parameter.key != "gnss.delay":  # a delay near zero is a delay
+        assert not [value for value in nonsense if parameter.accepts(value)]
+    assert not parameter.accepts(3.2e7)  # a year
+    for end in (parameter.lowest, parameter.highest):
+        kept = []
+        first = Tuning(Config(), keep=kept.append)
+        first.set(parameter.key, end)
+        if parameter.key != "output.odometry.mode":
+            assert Tuning(Config(), kept[-1], "kept").config == first.config
 
 
 def test_a_dropped_value_leaves_the_others(caplog):

@@ -188,7 +188,7 @@ def test_rule_30_what_is_not_followed_is_counted_by_reason():
     put(session, who, "EC_RATE", 60.0)  # and this one is followed
     counters = session.counters()
     assert {name: n for name, n in counters.items() if name.startswith("refused: ")} == {
-        "refused: PARAM_SET: out of range": 2,
+        "refused: PARAM_SET: EC_RATE is not in 1 to 200": 2,
         "refused: PARAM_SET: is no REAL32": 1,
         "refused: PARAM_SET: no such parameter": 1,
         "refused: PARAM_REQUEST_READ: no such parameter": 1,
