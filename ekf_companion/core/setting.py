@@ -35,7 +35,8 @@ class Param:
     lowest: float = 0.0
     highest: float = 1.0
     """Of a number: what a sensor can be, for anybody on the link may set it. The range of the
-    setting, which the user's file may use, is wider. Of words and of false and true it is the index that is set."""
+    setting, which the user's file may use, is wider. Of words and of false and true it is the index
+    that is set."""
     is_sigma: bool = False
     """Whether a probability is set as the sigmas of one axis that enclose it."""
 

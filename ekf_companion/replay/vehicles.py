@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from ekf_companion.replay.run import BlockPipeline
 
 
+MOST_NAMED = 8
+"""Others that are named; in a log of strangers or of noise there may be thousands."""
+
+
 class Vehicles:
     """Follows who is listened to in a log, and reports on the others."""
 
@@ -79,12 +83,15 @@ class Vehicles:
                 f"{used.system_id}, component {used.component_id} are taken, by its messages "
                 f"{_firmware(used.family)}"
             )
+        rest = others(self._senders, used)
         notes += [
             f"the log also holds the vehicle of system {one.system_id} ({_firmware(one.family)}): "
             f"that of system {used.system_id} is used; set link.autopilot = {one.system_id} for "
             "the other"
-            for one in others(self._senders, used)
+            for one in rest[:MOST_NAMED]
         ]
+        if len(rest) > MOST_NAMED:
+            notes.append(f"the log also holds {len(rest) - MOST_NAMED} more vehicles")
         return notes
 
     @property
@@ -96,7 +103,11 @@ class Vehicles:
         rest = [one for one in rest if one.samples]
         if not rest:
             return ""
-        words = ", ".join(f"system {one.system_id} component {one.component_id}" for one in rest)
+        words = ", ".join(
+            f"system {one.system_id} component {one.component_id}" for one in rest[:MOST_NAMED]
+        )
+        if len(rest) > MOST_NAMED:
+            words += f" and {len(rest) - MOST_NAMED} more"
         why = "" if self._wanted is None else f", and link.autopilot is {self._wanted}"
         return f"those in it are of {words}{why}"
 

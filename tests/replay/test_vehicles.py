@@ -171,3 +171,21 @@ def test_a_second_receiver_takes_the_place_of_one_without_a_fix_by_name(changed,
     assert note.endswith(f"s on the second receiver's fixes are used: the first {why}")
     assert report.counts[Kind.GNSS] > 0.8 * 5 * (SECONDS - 3)
     assert table.column("status")[-1] == Status.OK
+
+
+@pytest.mark.parametrize(("silent", "words"), [(3, ""), (3000, " and 2992 more")])
+def test_thousands_of_senders_are_counted_and_eight_are_named(tmp_path, silent, words):
+    path = tmp_path / "strangers.tlog"
+    sample = bytes(next(one for one in LAYOUTS.values() if one.name == "HIGHRES_IMU").struct.size)
+    senders = [Sender(number >> 8, number & 255) for number in range(256, 256 + silent)]
+    path.write_bytes(
+        b"".join(
+            struct.pack(">Q", 1_700_000_000_000_000 + 1000 * number)
+            + one.frame("HIGHRES_IMU", sample)
+            for number, one in enumerate(senders)
+        )
+    )
+    with pytest.raises(LogError, match="holds no inertial samples") as refused:
+        estimate(path, Config(link=replace(Config().link, autopilot=200)))
+    assert words in str(refused.value)
+    assert len(str(refused.value)) < 700
