@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import re
 import signal
+import stat
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -26,6 +27,8 @@ from ekf_companion.version import __version__
 
 _BEGIN = re.compile(r'\[("[0-9a-f]{0,16}("(,( ({}?)?)?)?)?)?')
 """A first line that was cut short: the fingerprint of the settings."""
+LARGEST = 1 << 28
+"""Bytes of a journal: of a hundred thousand logs."""
 Task = Callable[[Path], Row]
 Progress = Callable[[int, int], None]
 """Called with how many bytes of the logs are done, of how many."""
@@ -136,8 +139,8 @@ def _add_line(file: TextIO, key: str, row: Row) -> None:
 
 
 def _own(path: str, flags: int) -> int:
-    """Open a journal, and not what a link of its name leads to."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+    """Open a journal, and not what a link of its name leads to, nor wait for who fills a FIFO."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
 
 
 def _read_journal(path: Path, config: Config) -> dict[str, Row]:
@@ -148,11 +151,16 @@ def _read_journal(path: Path, config: Config) -> dict[str, Row]:
     """
     try:
         with open(path, "rb", opener=_own) as file:
-            lines = file.read().decode(errors="replace").splitlines()
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ConfigError(f"{path}: is not a regular file; move it away")
+            data = file.read(LARGEST + 1)
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; move it away") from error
+    if len(data) > LARGEST:
+        raise ConfigError(f"{path}: is larger than any journal of a batch; move it away")
+    lines = data.decode(errors="replace").splitlines()
     found = dict(filter(None, map(_read_line, lines)))
     # The first line may be cut short, if that is all there is
     if lines and not found and not _BEGIN.fullmatch(lines[0]):
@@ -167,11 +175,26 @@ def _read_line(line: str) -> tuple[str, Row] | None:
     """Return the key and the row of a line; None: it is cut short or no line of a journal."""
     try:
         match json.loads(line):
-            case [str(key), dict(row)] if not row or row.keys() == COLUMNS.keys():
+            case [str(key), dict(row)] if not row or _is_row(row):
                 return key, row
     except (ValueError, RecursionError):
         pass
     return None
+
+
+def _is_row(row: Row) -> bool:
+    """Return whether a row could be of the table: its columns, of their types, as text of UTF-8."""
+    if row.keys() != COLUMNS.keys() or row["outcome"] not in ("estimated", "failed"):
+        return False
+    for name, value in row.items():
+        kinds = (int, float) if COLUMNS[name] is float else COLUMNS[name]
+        if value is None or (isinstance(value, kinds) and not isinstance(value, bool)):
+            if isinstance(value, str):
+                value.encode()  # a UnicodeEncodeError is a ValueError
+            if not isinstance(value, int) or abs(value) < 1 << 63:
+                continue
+        return False
+    return True
 
 
 def _key(log: Path) -> str:

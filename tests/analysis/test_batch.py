@@ -324,3 +324,41 @@ def test_odd_lines_of_a_journal_are_no_rows(tmp_path, folder):
         again = Counted()
         assert run([log], Config(), journal, again) == [row]
         assert again.asked == [log.name]
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("duration_s", "long"),
+        ("duration_s", [1]),
+        ("outcome", "perhaps"),
+        ("verdict", 7),
+        ("why", "\ud800"),
+        ("resets", 1 << 70),
+        ("resets", 0.5),
+        ("resets", True),
+    ],
+)
+def test_a_row_that_the_table_cannot_hold_is_no_row(tmp_path, folder, column, value):
+    log, journal = folder / "a0.tlog", tmp_path / "table.csv.journal"
+    (row,) = run([log], Config(), journal, Counted())
+    begin, line = journal.read_text().splitlines()
+    key, _ = json.loads(line)
+    journal.write_text(f"{begin}\n{json.dumps([key, {**row, column: value}])}\n")
+    again = Counted()
+    assert run([log], Config(), journal, again) == [row]
+    assert again.asked == [log.name]
+
+
+def test_what_is_no_file_or_has_no_end_is_no_journal_and_is_refused_at_once(tmp_path, folder):
+    log, journal = folder / "a0.tlog", tmp_path / "table.csv.journal"
+    os.mkfifo(journal)
+    with pytest.raises(ConfigError, match="is not a regular file"):
+        run([log], Config(), journal, Counted())
+    journal.unlink()
+    with journal.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(ConfigError, match="is larger than any journal of a batch"):
+        run([log], Config(), journal, Counted())
+    assert journal.stat().st_size == 1 << 40
+    journal.unlink()
