@@ -16,7 +16,7 @@ from ekf_companion.logs import csv_known
 from ekf_companion.logs.csv_columns import map_beside
 from ekf_companion.logs.estimate import is_estimate, of_table
 from ekf_companion.logs.recording import counted
-from ekf_companion.logs.source import suffix_of
+from ekf_companion.logs.source import real_path, suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
 from ekf_companion.replay import convert
@@ -99,14 +99,14 @@ def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
 
     Taken are the logs that :func:`find_logs` found there, and the outputs.
     """
-    ours = {path.resolve() for path in taken}
-    ours |= {beside.resolve() for path in taken if (beside := map_beside(path)) is not None}
+    ours = {real_path(path) for path in taken}
+    ours |= {real_path(beside) for path in taken if (beside := map_beside(path)) is not None}
     found = {
-        path.resolve(): path
+        real_path(path): path
         for name in names
         if Path(name).is_dir()
         for path in sorted(Path(name).rglob("*"))
-        if path.is_file() and path.resolve() not in ours
+        if path.is_file() and real_path(path) not in ours
     }
     if not found:
         return ""
@@ -155,7 +155,7 @@ def examine(path: Path, config: Config) -> Row:
 
 def _name(path: Path) -> str:
     """Return the name of a log in a table, where no spreadsheet takes it for a formula."""
-    return printable(f"./{path}" if str(path)[0] in "=+-@" else path)
+    return printable(f"./{path}" if str(path).lstrip()[:1] in ("=", "+", "-", "@") else path)
 
 
 def printable(text: object) -> str:

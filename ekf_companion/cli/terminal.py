@@ -14,6 +14,7 @@ import typer
 
 from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError, remedy
+from ekf_companion.logs.source import real_path
 
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
@@ -118,19 +119,19 @@ def check_outputs(
     Raises:
         ConfigError: An output is refused.
     """
-    taken = {path.resolve(): name for name, path in inputs.items() if path is not None}
+    taken = {real_path(path): name for name, path in inputs.items() if path is not None}
     for option, path in outputs:
         if path is None:
             continue
         if len(parts := path.name.split(",")) > 1 and all(_has_suffix(part) for part in parts):
             raise ConfigError(f"{option}: {path}: is one name; give {option} again for each file")
-        if (other := taken.get(path.resolve())) is not None:
+        if (other := taken.get(real_path(path))) is not None:
             raise ConfigError(f"{option}: {path}: is {other}; name another file")
-        if not path.resolve().parent.is_dir():
+        if not real_path(path).parent.is_dir():
             raise ConfigError(f"{option}: {path}: there is no such folder; make it first")
         if option == "--plot" and path.suffix.lower() not in FIGURES and not path.is_dir():
             raise ConfigError(f"--plot: {path}: a figure is a .png, .pdf or .svg; name one of them")
-        taken[path.resolve()] = f"what {option} writes"
+        taken[real_path(path)] = f"what {option} writes"
 
 
 def _has_suffix(name: str) -> bool:

@@ -43,6 +43,11 @@ def unpacked_name(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in PACKED else path
 
 
+def real_path(path: Path) -> Path:
+    """Return where a name leads; of links in a circle, which lead nowhere, the name itself."""
+    return Path(os.path.realpath(path))
+
+
 def read_bytes(path: Path, kind: str) -> bytes:
     """Return all bytes of a file, unpacked; its kind (``DataFlash .bin log``) is for messages.
 

@@ -16,6 +16,7 @@ from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs.map_time import Label
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.source import real_path
 from ekf_companion.logs.writer import RATES, STDOUT, WRITERS, Thinning, create, open_writer
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, join
@@ -76,7 +77,7 @@ def _check_output(path: Path, out: Path, *, is_smoothed: bool) -> None:
     if out != STDOUT and out.suffix not in (*WRITERS, ".tlog"):
         known = ", ".join([*WRITERS, ".tlog"])
         raise ConfigError(f"{out}: unknown kind of output; known are {known}, and - for CSV")
-    if out.resolve() == path.resolve():
+    if real_path(out) == real_path(path):
         raise ConfigError(f"{out}: is the log itself; name another file")
 
 

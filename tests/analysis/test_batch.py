@@ -284,7 +284,15 @@ def test_a_file_with_an_odd_name_stops_no_other(tmp_path, folder, name):
 
 def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("=HYPERLINK(1).tlog", "+1.tlog", "-1.tlog", "@a.tlog", "good.tlog"):
+    for name in (
+        "=HYPERLINK(1).tlog",
+        "+1.tlog",
+        "-1.tlog",
+        "@a.tlog",
+        "\t=1.tlog",
+        " +1.tlog",
+        "good.tlog",
+    ):
         Path(name).write_bytes(b"no log")
         row = examine(Path(name), Config())
         assert row["log"][0] in "./g"

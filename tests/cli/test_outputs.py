@@ -154,3 +154,15 @@ def test_a_batch_goes_on_where_the_disk_was_full(log, tmp_path):
     assert run(command, log, out).returncode == 0
     assert out.read_text().count("\n") == 5
     assert [one.name for one in tmp_path.iterdir()] == [out.name]
+
+
+def test_links_in_a_circle_are_a_sentence_as_a_log_and_no_output_to_mistake(log, tmp_path):
+    one, two = tmp_path / "one.csv", tmp_path / "two.csv"
+    one.symlink_to(two)
+    two.symlink_to(one)
+    done = run(f"convert {one} -o", log, tmp_path / "out.csv")
+    assert done.returncode == 3
+    assert "Too many levels of symbolic links" in done.stderr
+    done = run("convert LOG -o", log, one)
+    assert done.returncode == 0, done.stderr
+    assert one.read_text().startswith("time_us,")
