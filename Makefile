@@ -74,11 +74,16 @@ reference: $(STAMP)
 # Versions and hashes of what `make install` installs, for all Pythons and processors; keeps the
 # versions that are there, unless UPGRADE=--upgrade
 LOCKED := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header \
-	--no-emit-index-url --no-emit-find-links --python-version 3.10 pyproject.toml $(UPGRADE)
+	--no-emit-index-url --no-emit-find-links --python-version 3.10 $(UPGRADE)
+BUILD_NEEDS := import tomllib; \
+	print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")
 lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
-	$(LOCKED) -o systemd/requirements-run.txt
-	$(LOCKED) --extra report -c systemd/requirements-run.txt -o systemd/requirements-report.txt
+	$(LOCKED) pyproject.toml -o systemd/requirements-run.txt
+	$(LOCKED) pyproject.toml --extra report -c systemd/requirements-run.txt \
+		-o systemd/requirements-report.txt
+	$(BIN)/python -c '$(BUILD_NEEDS)' | $(LOCKED) --no-annotate - -c systemd/requirements-run.txt \
+		-o systemd/requirements-build.txt
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

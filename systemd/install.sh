@@ -76,6 +76,19 @@ check_homes() {
     echo "$0: $words" >&2
 }
 
+# By the tools of the lock, which pip would else fetch in any version, unseen
+build_wheel() {
+    wheel="wheel ${PIP_FLAGS:-} --no-deps --wheel-dir $built $built/src"
+    if [ "${LOCK:-}" = none ]; then
+        $pip $wheel
+        return
+    fi
+    "$place/bin/python" -m venv "$built/tools"
+    tools="$built/tools/bin/python -m pip --quiet --disable-pip-version-check"
+    $tools install ${PIP_FLAGS:-} --no-compile --require-hashes -r systemd/requirements-build.txt
+    $tools $wheel --no-build-isolation
+}
+
 install_program() {
     "$place/bin/python" -c '' 2> /dev/null || "${PYTHON:-python3}" -m venv --clear "$place"
     pip="$place/bin/python -m pip --quiet --disable-pip-version-check"
@@ -86,7 +99,7 @@ install_program() {
         mkdir "$built/src"
         cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot systemd "$built/src"
         rm -f "$built"/src/ekf_companion/*/*.c "$built"/src/ekf_companion/*/*.so
-        $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
+        build_wheel
     else
         [ -f "$WHEEL" ] || fail "WHEEL=$WHEEL: there is no such file; make wheel makes one in dist/"
         cp "$WHEEL" "$built"

@@ -78,6 +78,23 @@ def test_the_lock_names_no_host_and_no_folder(name):
     assert not re.search(r"://|--(extra-)?index-url|--find-links|@ ", text)
 
 
+def test_the_tools_that_build_the_wheel_are_locked_too():
+    """Where a wheel is built, pip would else fetch any version of them, unseen."""
+    text = (ROOT / "systemd/requirements-build.txt").read_text()
+    locked = {}
+    for entry in re.split(r"\n(?=\w)", text):
+        name, version = re.match(r"([\w.-]+)==([\w.]+)", entry).groups()
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), entry
+        locked.setdefault(name, set()).add(version)
+    project = (ROOT / "pyproject.toml").read_text()
+    needs = re.search(r"^requires = \[(.*)\]$", project, re.MULTILINE)[1]
+    assert {re.match(r"[a-z]+", one)[0] for one in re.findall(r'"(.+?)"', needs)} <= {*locked}
+    # The kernel is compiled for the NumPy that it runs with
+    running = (ROOT / "systemd/requirements-run.txt").read_text()
+    assert locked["numpy"] == {*re.findall(r"^numpy==([\w.]+)", running, re.MULTILINE)}
+    assert not re.search(r"://|--(extra-)?index-url|--find-links|@ ", text)
+
+
 def test_the_extra_all_has_every_other_but_dev():
     text = (ROOT / "pyproject.toml").read_text()
     section = re.search(r"\[project.optional-dependencies\]\n(.*?)\n\n", text, re.DOTALL)[1]
