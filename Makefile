@@ -10,7 +10,7 @@ KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) 
 STAMP := $(VENV)/.built
 FLYING := $(VENV)/.built-demo
 
-.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
+.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity filters delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -103,16 +103,20 @@ demo: $(if $(wildcard $(STAMP)),$(STAMP),$(FLYING))
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.speed $(if $(EKF2),--ekf2 $(EKF2))
 
-# Whether a refactoring has changed a bit of any estimate, message or status; five minutes
+# Whether a bit of any estimate, message or status differs from a revision's: BASE=main; ten minutes
 bits: $(STAMP)
-	$(BIN)/python -m benchmarks.bits check
+	$(BIN)/python -m benchmarks.bits $(or $(BASE),HEAD) $(CASES)
 
 accuracy: $(STAMP)
 	$(BIN)/python -m benchmarks.accuracy
 
-# Flights with faults from an independent generator; a quarter of an hour
+# Flights with faults from an independent generator: SEEDS of each case, 20 take a quarter of an hour
 truth: $(STAMP)
-	$(BIN)/python -m benchmarks.truth
+	$(BIN)/python -m benchmarks.truth $(if $(SEEDS),--seeds $(SEEDS))
+
+# What 30 % more or less of each constant of a file in core does to these: MODULE=gate; a quarter hour
+sensitivity: $(STAMP)
+	$(BIN)/python -m benchmarks.sensitivity $(MODULE)
 
 filters: $(STAMP)
 	$(BIN)/python -m benchmarks.filters

@@ -1,31 +1,29 @@
-"""Hold a refactoring to the bit: ``make bits``, or ``python -m benchmarks.bits check [PATTERN]``.
+"""Hash what this tree makes of all recordings and seeded flights: the half of ``make bits``.
 
-Hashes what the estimator makes of every recording in ``../shared/data`` that can be read and of
-seeded flights with a companion on a virtual link: the filter's state block, the table of estimates,
-the bytes that the daemon would send and record, and the status as JSON. ``record`` writes them to
-``benchmarks/bits.json``; ``check`` compares, names every case and quantity that differs, and exits
-with 1 if one does. Record before a change that must not alter results; check after each step of it.
+The estimator takes every recording in ``../shared/data`` that can be read and seeded flights with a
+companion on a virtual link: the filter's state field by field, the table of estimates column by
+column, the bytes that the daemon would send and record, and the status part by part. The hashes go
+to a file as JSON; :mod:`benchmarks.bits.__main__` compares those of two trees, on one machine, as
+sines and products of matrices differ in the last bit elsewhere.
 
-The hashes are those of one processor, C library and NumPy: sines and products of matrices differ in
-the last bit elsewhere.
+This file imports nothing else of the benchmarks, so that it runs on a tree that has none.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import fnmatch
 import gzip
 import hashlib
 import json
 import logging
 import multiprocessing
-import platform
 import struct
 import sys
 import tempfile
 import warnings
-import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -34,16 +32,17 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.daemon.reception import deliver
 
 # What follows is all that a refactoring may have to change here
-from ekf_companion.engine.checkpoint import LAYOUT, Clocks
+from ekf_companion.core.state import State
+from ekf_companion.daemon.reception import deliver
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import CompanionError
 from ekf_companion.link.address import parse_url
 from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog
+from ekf_companion.nav.state import COLUMNS
 from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
 from ekf_companion.replay.convert import read as read_recording
 from ekf_companion.replay.filters_by_name import FILTERS, run_filter
@@ -56,22 +55,7 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
 from sim_autopilot.scenarios import SCENARIOS
 
-RENAMED: dict[str, str] = {
-    "before_alignment": "unaligned",
-    "superseded": "unused",
-    "deweighted": "soft",
-}
-"""Names printed now, and what was printed when the hashes were recorded: keys and words of the
-status. A deliberate change of a name stands here, and nothing else."""
-
-RECORDED_LAYOUT = bytes.fromhex("5df1410b78c92450")
-"""What a checkpoint said of the names of its fields when the hashes were recorded."""
-
-RECORDED_COLUMNS = 33
-"""Numbers of an estimate when the hashes were recorded; the reasons came behind them."""
-
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-FILE = Path(__file__).with_name("bits.json")
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv", ".csv.gz", ".txt", ".mat")
 RATE = 250.0
 STATUS_EVERY_NS = 10_000_000_000
@@ -115,13 +99,11 @@ class Digest:
 
 
 def plain(value: Any) -> Any:
-    """Return a status as plain data under the names of old, without what depends on the clock."""
+    """Return a status as plain data, without what depends on the clock."""
     if is_dataclass(value) and not isinstance(value, type):
         value = {one.name: getattr(value, one.name) for one in fields(value)}
     if isinstance(value, Enum):
         value = value.name.lower()
-    if isinstance(value, str):
-        return RENAMED.get(value, value)
     if hasattr(value, "items"):
         named = {plain(key): one for key, one in value.items() if key not in CLOCK_DEPENDENT}
         return {str(key): plain(named[key]) for key in sorted(named, key=str)}
@@ -132,6 +114,45 @@ def plain(value: Any) -> Any:
     return value
 
 
+def by_column(prefix: str, stamp_ns: np.ndarray, values: np.ndarray) -> Hashes:
+    """Return the hashes of estimates, by column: a new one changes no other."""
+    found = {f"{prefix}.time": hash_of(stamp_ns)}
+    for index, name in enumerate(COLUMNS[1 : values.shape[1] + 1]):
+        found[f"{prefix}.{name}"] = hash_of(values[:, index])
+    return found
+
+
+def by_field(
+    blocks: np.ndarray, kind: Any = State, prefix: str = "state", begin: int = 0
+) -> Hashes:
+    """Return the hashes of the filter's states, shape (n, BLOCK), by field."""
+    found: Hashes = {}
+    for name, declared in kind._fields_:
+        first = begin + getattr(kind, name).offset
+        if issubclass(declared, ctypes.Structure):
+            found |= by_field(blocks, declared, f"{prefix}.{name}", first)
+        else:
+            last = first + ctypes.sizeof(declared)
+            found[f"{prefix}.{name}"] = hash_of(blocks[:, first // 8 : last // 8])
+    return found
+
+
+def by_part(prefix: str, values: Sequence[Any]) -> Hashes:
+    """Return the hashes of what a status or health was at several times, by part."""
+    parts: dict[str, Digest] = {}
+    for value in values:
+        for name, part in plain(value).items():
+            parts.setdefault(name, Digest()).add(json.dumps(part).encode())
+    return {f"{prefix}.{name}": str(digest) for name, digest in parts.items()}
+
+
+def hash_of(piece: bytes | np.ndarray) -> str:
+    """Return the hash of bytes or of an array."""
+    digest = Digest()
+    digest.add(piece)
+    return str(digest)
+
+
 class Watched:
     """A companion and all that it sends, records and estimates."""
 
@@ -140,8 +161,11 @@ class Watched:
         self._now_ns = 0
         self._link = Link(parse_url("udpin:127.0.0.1:1"), clock=lambda: self._now_ns)
         self._observer = Observer(self._link, self._companion, lambda: self._now_ns)
-        self._digests = {name: Digest() for name in ("sent", "recorded", "table", "state")}
-        self._status = Digest()
+        self._digests = {name: Digest() for name in ("sent", "recorded")}
+        self._rows: list[np.ndarray] = []
+        self._stamps: list[int] = []
+        self._blocks: list[np.ndarray] = []
+        self._status: list[Any] = []
         self._next_ns: int | None = None
         self._stamp_ns = 0
 
@@ -175,32 +199,27 @@ class Watched:
         pipeline = self._companion.pipeline
         if pipeline is not None and pipeline.stamp_ns != self._stamp_ns:
             self._stamp_ns = pipeline.stamp_ns
-            self._digests["table"].add(self._stamp_ns, pipeline.values()[:RECORDED_COLUMNS])
+            self._stamps.append(self._stamp_ns)
+            self._rows.append(pipeline.values())
         self._observer.tick(self._now_ns)
         if self._next_ns is None or self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + STATUS_EVERY_NS
             self._keep()
 
     def _keep(self) -> None:
-        self._status.add(json.dumps(plain(self._observer.snapshot(Host()))).encode())
+        self._status.append(plain(self._observer.snapshot(Host())))
         if self._companion.pipeline is not None:
-            self._digests["state"].add(self._companion.pipeline.state().block)
+            self._blocks.append(self._companion.pipeline.state().block)
 
     def hashes(self) -> Hashes:
         """Return the hashes of all that was seen."""
         self._keep()
-        checkpoint = self._companion.checkpoint(Clocks(unix_ns=0))
-        return {
-            **{name: str(digest) for name, digest in self._digests.items()},
-            "status": str(self._status),
-            "checkpoint": "" if checkpoint is None else checkpoint_hash(checkpoint),
-        }
-
-
-def checkpoint_hash(checkpoint: bytes) -> str:
-    """Return the hash of a checkpoint, whatever its fields are called."""
-    body = checkpoint[:-4].replace(LAYOUT, RECORDED_LAYOUT)
-    return hashlib.sha256(body + zlib.crc32(body).to_bytes(4, "little")).hexdigest()[:16]
+        found = {name: str(digest) for name, digest in self._digests.items()}
+        found |= by_part("status", self._status)
+        if self._rows:
+            found |= by_column("table", np.array(self._stamps), np.array(self._rows))
+            found |= by_field(np.array(self._blocks))
+        return found
 
 
 def fly(scenario: str, personality: str, fault: str) -> Hashes:
@@ -243,16 +262,12 @@ def replay(path: Path) -> Hashes:
         table, report = estimate(path, Config())
     except CompanionError as error:
         return _refused(error)
-    digest = Digest()
-    digest.add(table.stamp_ns, table.values[:, :RECORDED_COLUMNS])
-    hashes["table"] = str(digest)
-    status = Digest()
-    status.add(json.dumps(plain(report.health)).encode())
-    hashes["health"] = str(status)
+    hashes |= by_column("table", table.stamp_ns, table.values)
+    hashes |= by_part("health", [report.health])
     recording = read_recording(path)
     pipeline = Pipeline(Config(), recording.family, recording.gnss_delay)
     pipeline.run(recording.events)
-    hashes["state"] = hashlib.sha256(pipeline.state().block.tobytes()).hexdigest()[:16]
+    hashes |= by_field(pipeline.state().block[None])
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.tlog"
         try:
@@ -266,10 +281,9 @@ def replay(path: Path) -> Hashes:
 def smooth(path: Path) -> Hashes:
     """Smooth a recording."""
     live, smoothed, _ = estimate_and_smooth(path, Config())
-    digest = Digest()
-    tables = (live.values[:, :RECORDED_COLUMNS], smoothed.values[:, :RECORDED_COLUMNS])
-    digest.add(live.stamp_ns, tables[0], smoothed.stamp_ns, tables[1])
-    return {"smoothed": str(digest)}
+    return by_column("live", live.stamp_ns, live.values) | by_column(
+        "smoothed", smoothed.stamp_ns, smoothed.values
+    )
 
 
 def by_filters(path: Path) -> Hashes:
@@ -284,10 +298,8 @@ def by_filters(path: Path) -> Hashes:
             except CompanionError as error:
                 hashes[label] = type(error).__name__
                 continue
-            digest = Digest()
-            values = solution.table.values[:, :RECORDED_COLUMNS]
-            digest.add(solution.table.stamp_ns, values, solution.covariance)
-            hashes[label] = str(digest)
+            hashes |= by_column(label, solution.table.stamp_ns, solution.table.values)
+            hashes[f"{label}.covariance"] = hash_of(solution.covariance)
     return hashes
 
 
@@ -301,14 +313,14 @@ def unpacked(path: Path, work: Callable[[Path], Hashes]) -> Hashes:
         return work(plain_file)
 
 
-def recordings() -> Iterable[tuple[str, Path]]:
+def recordings(data: Path) -> Iterable[tuple[str, Path]]:
     """Yield each file that may be a recording, by its name below the data folder."""
-    for path in sorted(DATA.rglob("*")):
+    for path in sorted(data.rglob("*")):
         if path.name.endswith(SUFFIXES) and not path.name.startswith("truth"):
-            yield path.relative_to(DATA).as_posix(), path
+            yield path.relative_to(data).as_posix(), path
 
 
-def cases() -> dict[str, tuple[Callable[..., Hashes], tuple[Any, ...]]]:
+def cases(data: Path) -> dict[str, tuple[Callable[..., Hashes], tuple[Any, ...]]]:
     """Return what there is to do, by name."""
     found: dict[str, tuple[Callable[..., Hashes], tuple[Any, ...]]] = {}
     for personality in ("px4", "ardupilot"):
@@ -317,7 +329,7 @@ def cases() -> dict[str, tuple[Callable[..., Hashes], tuple[Any, ...]]]:
         for fault in dict.fromkeys((*KINDS, *VARIETY)):
             name = f"flight/figure-eight/{personality}/{fault}"
             found[name] = (fly, ("figure-eight", personality, fault))
-    for name, path in recordings():
+    for name, path in recordings(data):
         found[f"log/{name}"] = (unpacked, (path, replay))
         if path.suffix == ".tlog":
             found[f"live/{name}"] = (listen, (path,))
@@ -328,24 +340,14 @@ def cases() -> dict[str, tuple[Callable[..., Hashes], tuple[Any, ...]]]:
     return found
 
 
-def run_one(name: str) -> tuple[str, Hashes]:
-    """Do one case; a bug is a result too, which no check lets pass."""
-    work, arguments = cases()[name]
+def run_one(job: tuple[Path, str]) -> tuple[str, Hashes]:
+    """Do one case; a bug is a result too, which no comparison lets pass."""
+    data, name = job
+    work, arguments = cases(data)[name]
     try:
         return name, work(*arguments)
     except Exception as error:  # noqa: BLE001  # the other cases go on
         return name, {"bug": f"{type(error).__name__}: {error}"}
-
-
-def run(names: list[str], jobs: int) -> dict[str, Hashes]:
-    """Do the cases in several processes, longest first, and say how far it is."""
-    found: dict[str, Hashes] = {}
-    with multiprocessing.get_context("spawn").Pool(jobs, _quiet, maxtasksperchild=8) as pool:
-        for name, hashes in pool.imap_unordered(run_one, names):
-            found[name] = hashes
-            if sys.stderr.isatty():
-                print(f"\r{len(found)} of {len(names)} ", end="", file=sys.stderr, flush=True)
-    return found
 
 
 def _quiet() -> None:
@@ -353,60 +355,27 @@ def _quiet() -> None:
     warnings.simplefilter("ignore")
 
 
-def environment() -> dict[str, str]:
-    """Return what the hashes depend on beside the code."""
-    libc = " ".join(platform.libc_ver())
-    return {"libc": libc, "numpy": np.__version__, "machine": platform.machine()}
-
-
 def main() -> None:
-    """Record the hashes, or compare with those that were recorded."""
+    """Write the hashes into a file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("what", choices=("record", "check", "list"))
+    parser.add_argument("out", type=Path, help="JSON: hashes by case and quantity")
     parser.add_argument("pattern", nargs="*", default=["*"], help="cases, as a shell would match")
+    parser.add_argument("--data", type=Path, default=DATA, help="the recordings")
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_intermixed_args()
-    known = cases()
     names = [
-        name for name in known if any(fnmatch.fnmatch(name, pattern) for pattern in asked.pattern)
+        name
+        for name in cases(asked.data)
+        if any(fnmatch.fnmatch(name, pattern) for pattern in asked.pattern)
     ]
-    if asked.what == "list":
-        print("\n".join(names))
-        return
-    if not DATA.is_dir():
-        print(f"{DATA}: absent; only the simulated flights are hashed")
-    found = run(names, asked.jobs)
-    recorded = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
-    if asked.what == "record":
-        hashes = {**recorded.get("hashes", {}), **found}
-        kept = {name: hashes[name] for name in sorted(hashes) if name in known}
-        FILE.write_text(
-            json.dumps({"environment": environment(), "hashes": kept}, indent=1) + "\n",
-            encoding="utf-8",
-        )
-        print(f"{FILE.name}: {len(found)} of {len(kept)} cases recorded")
-        return
-    if recorded.get("environment") != environment():
-        print(f"recorded with {recorded.get('environment')}, here is {environment()}")
-    sys.exit(compare(recorded.get("hashes", {}), found))
-
-
-def compare(recorded: dict[str, Hashes], found: dict[str, Hashes]) -> int:
-    """Print what differs; return 1 if anything does."""
-    wrong = 0
-    for name in sorted(found):
-        if name not in recorded:
-            print(f"{name}: not recorded")
-            wrong += 1
-            continue
-        for quantity in sorted({*recorded[name], *found[name]}):
-            before, now = recorded[name].get(quantity), found[name].get(quantity)
-            if before != now:
-                print(f"{name}: {quantity}: {now}, was {before}")
-                wrong += 1
-    quantities = sum(map(len, found.values()))
-    print(f"{quantities} hashes of {len(found)} cases: {wrong or 'none'} differ")
-    return int(wrong > 0)
+    found: dict[str, Hashes] = {}
+    jobs = [(asked.data, name) for name in names]
+    with multiprocessing.get_context("spawn").Pool(asked.jobs, _quiet, maxtasksperchild=8) as pool:
+        for name, hashes in pool.imap_unordered(run_one, jobs):
+            found[name] = hashes
+            if sys.stderr.isatty():
+                print(f"\r{len(found)} of {len(names)} ", end="", file=sys.stderr, flush=True)
+    asked.out.write_text(json.dumps(found), encoding="utf-8")
 
 
 if __name__ == "__main__":

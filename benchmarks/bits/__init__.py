@@ -1,0 +1,1 @@
+"""Whether a change has altered a bit of any result: ``make bits BASE=REVISION``."""
