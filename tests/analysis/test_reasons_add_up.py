@@ -19,7 +19,7 @@ from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.reason import LONGEST_STEP, WORDS, foremost, from_names, to_seconds
 from ekf_companion.nav.state import COLUMNS, Reason, Status, Table
-from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.convert import read
 from ekf_companion.replay.report import Report, add_block
 from ekf_companion.status.status_time import StatusTime
 from tests.rows import CONFIG, Rows, write
@@ -155,9 +155,7 @@ def test_the_column_and_the_view_name_the_reasons_of_the_summary(log, tmp_path):
 
 
 def test_the_reasons_of_a_live_run_add_up_and_are_those_of_its_replay(log):
-    recording = open_log(log)
-    if not hasattr(recording, "events"):
-        pytest.skip("telemetry goes through the session: tests/status/test_observer.py")
+    recording = read(log, CONFIG)
     pipeline = Pipeline(CONFIG, recording.family, recording.gnss_delay)
     time, last_ns = StatusTime(), 0
     events = recording.events.take(np.arange(len(recording.events)))
