@@ -32,7 +32,8 @@ READERS = ("logs", "mavlink", "mavlink/decode", "nav")
 """Other rooms with modules that are compiled."""
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
-HEADERS_ONLY = ("memory",)
+BY_HAND = ("held", "rts", "step", "timeline")
+"""Modules with classes, or functions of Python's tuples: their ``.pxd`` is not made here."""
 PAGE = ROOT / "ekf_companion" / "status" / "page"
 CHARTS = "uplot@1.6.32"
 """The charting library of the page (MIT licence), a package of npm."""
@@ -49,12 +50,22 @@ def declare() -> None:
     """Write the .pxd files of the declarations, where they have changed."""
     sys.path.insert(0, str(ROOT))
     from ekf_companion.core.declare import pxd
+    from ekf_companion.core.signatures import signatures
 
-    for name in DECLARED:
+    made = {name: pxd(importlib.import_module(f"ekf_companion.core.{name}")) for name in DECLARED}
+    for name in kernel_modules():
+        if name not in BY_HAND:
+            made[name] = signatures(name, (CORE / f"{name}.py").read_text(encoding="utf-8"))
+    for name, text in made.items():
         path = CORE / f"{name}.pxd"
-        text = pxd(importlib.import_module(f"ekf_companion.core.{name}"))
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
+
+
+def kernel_modules() -> list[str]:
+    """Return the modules of the kernel that are compiled: they name others as the compiler does."""
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in CORE.glob("*.py")}
+    return sorted(name for name, text in texts.items() if "\nfrom cython.cimports." in text)
 
 
 def find_npm() -> list[str] | None:
@@ -132,8 +143,7 @@ is_inplace = "--inplace" in sys.argv  # by hand or by make, which fetches no cha
 needs_npm = (
     not is_inplace and shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
 )
-names = sorted({path.stem for path in CORE.glob("*.pxd")} - {*DECLARED, *HEADERS_ONLY})
-modules = [f"core.{name}" for name in names]
+modules = [f"core.{name}" for name in kernel_modules()]
 for room in READERS:
     found = (ROOT / "ekf_companion" / room).glob("*.pxd")
     modules += sorted(f"{room.replace('/', '.')}.{path.stem}" for path in found)

@@ -14,6 +14,12 @@ Real: TypeAlias = Annotated[float, ctypes.c_double]
 Count: TypeAlias = Annotated[int, ctypes.c_ssize_t]
 Vector: TypeAlias = Any
 """Of doubles: ``Annotated[Vector, 3]``; with two sizes a matrix, row by row."""
+Dcm: TypeAlias = Any
+"""A matrix of 3 by 3, C[row][column]."""
+Square: TypeAlias = Any
+"""A matrix of N by N."""
+Numbers: TypeAlias = Any
+"""An array of doubles that came from Python."""
 Structs: TypeAlias = Any
 """Several structs: ``Annotated[Structs, Run, 3]``."""
 

@@ -1,3 +1,4 @@
+# Made from delay.py by setup.py
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport Fix, Observation, Scratch
 from ekf_companion.core.state cimport State

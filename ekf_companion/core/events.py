@@ -11,7 +11,7 @@ from cython.cimports.ekf_companion.core.enums import (
     KIND_MAG,
     KIND_VEHICLE,
 )
-from cython.cimports.ekf_companion.core.memory import Vector
+from cython.cimports.ekf_companion.core.memory import Numbers
 from cython.cimports.ekf_companion.core.scratch import VALUES, Event
 from cython.cimports.libc.math import fabs, isfinite, isnan
 
@@ -25,7 +25,7 @@ NOWHERE = cython.declare(cython.double, NULL_ISLAND)
 DERIVED = cython.declare(cython.int, 1)
 
 
-def compare(row: Event, t: float, kind: int, values: Vector) -> int:
+def compare(row: Event, t: float, kind: int, values: Numbers) -> int:
     """Return -1, 0, 1 as a row is before, the same as, or after an event: by time, kind, values."""
     if row.t != t:
         return -1 if row.t < t else 1
@@ -43,7 +43,7 @@ def compare(row: Event, t: float, kind: int, values: Vector) -> int:
     return 0
 
 
-def is_sane(kind: int, values: Vector) -> bool:
+def is_sane(kind: int, values: Numbers) -> bool:
     """Return whether a sensor can say this: finite where it must be, and within all bounds."""
     if kind == KIND_IMU:
         for j in range(3):

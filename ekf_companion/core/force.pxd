@@ -1,3 +1,4 @@
+# Made from force.py by setup.py
 from ekf_companion.core.scratch cimport Fix
 from ekf_companion.core.state cimport State
 cdef void compare(State *x, Fix *fix) noexcept nogil

@@ -1,3 +1,4 @@
+# Made from leap.py by setup.py
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.state cimport State
 cdef void forget(State *x) noexcept nogil

@@ -1,8 +1,12 @@
 # Structs laid over arrays of doubles
+from ekf_companion.core.enums cimport N
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport Estimate, Event, OdometryNumbers, TapeRecord
 from ekf_companion.core.state cimport State
 ctypedef double *Vector
+ctypedef double *Numbers  # a memoryview; the signature says so
+ctypedef double (*Dcm)[3]
+ctypedef double (*Square)[N]
 ctypedef Event *Structs
 cdef inline State *as_state(double[::1] block) noexcept nogil:
     return <State *> &block[0]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.core.declare import Structs, Vector
+from ekf_companion.core.declare import Dcm, Numbers, Square, Structs, Vector
 from ekf_companion.core.parameters import Parameters
 from ekf_companion.core.scratch import Estimate, Event, OdometryNumbers, TapeRecord
 from ekf_companion.core.state import State
@@ -61,4 +61,4 @@ def _over(kind: Any, array: Array, count: int = 0) -> Any:
     return (kind * count if count else kind).from_buffer(np.asarray(array))
 
 
-__all__ = ["Structs", "Vector"]
+__all__ = ["Dcm", "Numbers", "Square", "Structs", "Vector"]

@@ -29,7 +29,7 @@ from cython.cimports.ekf_companion.core.enums import (
     E_VEL,
     N,
 )
-from cython.cimports.ekf_companion.core.memory import Vector
+from cython.cimports.ekf_companion.core.memory import Square
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import rotate, rotate_body, to_dcm
 from cython.cimports.ekf_companion.core.scratch import Motion
@@ -442,7 +442,7 @@ def decay(x: State, e: int, g: float, level: float) -> None:
     x.P[e][e] += g * (2.0 - g) * level
 
 
-def write_transition(k: Parameters, m: Motion, dt: float, Phi: Vector) -> None:
+def write_transition(k: Parameters, m: Motion, dt: float, Phi: Square) -> None:
     """Write the Phi of the interval that P was just propagated over, shape (N, N).
 
     The filter never forms it; who goes back over the interval needs it.

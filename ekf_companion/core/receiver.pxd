@@ -1,3 +1,4 @@
+# Made from receiver.py by setup.py
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport GnssRow, Scratch
 from ekf_companion.core.state cimport State

@@ -6,7 +6,7 @@ Source: Sola 2017, sections 1 to 4.
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.memory import Vector
+from cython.cimports.ekf_companion.core.memory import Dcm, Vector
 from cython.cimports.libc.math import cos, floor, sin, sqrt
 
 PI = cython.declare(cython.double, 3.14159265358979323846)
@@ -57,7 +57,7 @@ def normalise(q: Vector) -> None:
     q[3] = q[3] / norm
 
 
-def to_dcm(q: Vector, C: Vector) -> None:
+def to_dcm(q: Vector, C: Dcm) -> None:
     """Write the direction cosines of a quaternion to C, shape (3, 3)."""
     qw = q[0]
     qx = q[1]

@@ -1,3 +1,4 @@
+# Made from walk.py by setup.py
 from ekf_companion.core.state cimport State
 cdef void restart(State *x) noexcept nogil
 cdef void begin_stretch(State *x) noexcept nogil
@@ -9,6 +10,4 @@ cdef void learn_walk(State *x, double dt) noexcept nogil
 cdef void learn_drift(State *x) noexcept nogil
 cdef void learn_heading_share(State *x) noexcept nogil
 cdef void learn_speed_share(State *x) noexcept nogil
-cdef double learnt_share(
-    double share, double least, double square, double gain, double weight
-) noexcept nogil
+cdef double learnt_share(double share, double least, double square, double gain, double weight) noexcept nogil

@@ -1,3 +1,4 @@
+# Made from yaw_bank.py by setup.py
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport YawUpdate
 from ekf_companion.core.state cimport State, YawBank

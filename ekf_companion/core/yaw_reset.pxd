@@ -1,3 +1,4 @@
+# Made from yaw_reset.py by setup.py
 from ekf_companion.core.state cimport State
 cdef bint is_ready(State *x) noexcept nogil
 cdef double yaw_error(State *x) noexcept nogil
