@@ -27,12 +27,11 @@ from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 THIS = Path(__file__).name
-CORE = ROOT / "ekf_companion" / "core"
 READERS = ("logs", "mavlink", "mavlink/decode", "nav")
 """Other rooms with modules that are compiled."""
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
-BY_HAND = ("held", "rts", "step", "timeline")
+BY_HAND = {"order.stamps", "order.timeline", "output.jump", "rts"}
 """Modules with classes, or functions of Python's tuples: their ``.pxd`` is not made here."""
 PAGE = ROOT / "ekf_companion" / "status" / "page"
 CHARTS = "uplot@1.6.32"
@@ -46,26 +45,29 @@ CHARTS_FILES = {
 """What is taken of it, and its names beside the page."""
 
 
-def declare() -> None:
-    """Write the .pxd files of the declarations, where they have changed."""
+def declare() -> list[str]:
+    """Write the .pxd files that are made, where they have changed; return what is compiled."""
     sys.path.insert(0, str(ROOT))
-    from ekf_companion.core.declare import pxd
-    from ekf_companion.core.signatures import signatures
+    from ekf_companion.core.memory.declare import pxd
+    from ekf_companion.core.memory.signatures import kernel_modules, signatures
 
-    made = {name: pxd(importlib.import_module(f"ekf_companion.core.{name}")) for name in DECLARED}
-    for name in kernel_modules():
-        if name not in BY_HAND:
-            made[name] = signatures(name, (CORE / f"{name}.py").read_text(encoding="utf-8"))
+    kernel = kernel_modules()
+
+    made = {f"memory.{name}": "" for name in DECLARED}
+    for name in made:
+        made[name] = pxd(importlib.import_module(f"ekf_companion.core.{name}"))
+    for name in set(kernel) - BY_HAND:
+        made[name] = signatures(name, source_of(f"core.{name}").read_text(encoding="utf-8"))
     for name, text in made.items():
-        path = CORE / f"{name}.pxd"
+        path = source_of(f"core.{name}").with_suffix(".pxd")
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
+    return kernel
 
 
-def kernel_modules() -> list[str]:
-    """Return the modules of the kernel that are compiled: they name others as the compiler does."""
-    texts = {path.stem: path.read_text(encoding="utf-8") for path in CORE.glob("*.py")}
-    return sorted(name for name, text in texts.items() if "\nfrom cython.cimports." in text)
+def source_of(module: str) -> Path:
+    """Return the file of a module of the package."""
+    return ROOT / "ekf_companion" / f"{module.replace('.', '/')}.py"
 
 
 def find_npm() -> list[str] | None:
@@ -137,17 +139,17 @@ def date_headers() -> None:
             os.utime(path, (0, 0))
 
 
-declare()
+kernel = declare()
 date_headers()
 is_inplace = "--inplace" in sys.argv  # by hand or by make, which fetches no charts
 needs_npm = (
     not is_inplace and shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
 )
-modules = [f"core.{name}" for name in kernel_modules()]
+modules = [f"core.{name}" for name in kernel]
 for room in READERS:
     found = (ROOT / "ekf_companion" / room).glob("*.pxd")
     modules += sorted(f"{room.replace('/', '.')}.{path.stem}" for path in found)
-sources = [f"ekf_companion/{name.replace('.', '/')}.py" for name in modules]
+sources = [str(source_of(name).relative_to(ROOT)) for name in modules]
 is_older = [
     path.stat().st_mtime < (ROOT / THIS).stat().st_mtime
     for path in (ROOT / Path(source).with_suffix(".c") for source in sources)

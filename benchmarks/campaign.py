@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from ekf_companion.core.enums import (
+from ekf_companion.core.memory.enums import (
     E_ATT,
     E_BA,
     E_BARO,
@@ -26,10 +26,10 @@ from ekf_companion.core.enums import (
     E_VEL,
     Mode,
 )
-from ekf_companion.core.from_settings import delays_ns, imu_lag
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.state import State
+from ekf_companion.core.settings.from_settings import delays_ns, imu_lag
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array

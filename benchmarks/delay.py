@@ -13,7 +13,7 @@ from benchmarks import document
 from benchmarks.campaign import each
 from benchmarks.document import Part, of_flights, table
 from ekf_companion.calibrate import delay
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
 from sim_autopilot import events as wire

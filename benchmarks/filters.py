@@ -27,7 +27,7 @@ from benchmarks.recorded import TRUTH, recorded
 from ekf_companion.analysis import comparison
 from ekf_companion.analysis.comparison import Entry
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.logs.recording import Recording
 from sim_autopilot import events as wire

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ekf_companion.core.settings import (
+from ekf_companion.core.settings.settings import (
     BaroSettings,
     FilterSettings,
     GnssSettings,

@@ -19,7 +19,7 @@ import yaml
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.keys import KEYS, Key, value_of
-from ekf_companion.core.settings import HABITS, FilterSettings
+from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from tests.paths import ROOT
 
 PAGE = ROOT / "config" / "reference.yaml"

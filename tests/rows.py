@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings import GnssSettings
+from ekf_companion.core.settings.settings import GnssSettings
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from ekf_companion.core.memory.signatures import CORE, kernel_modules
 from tests.daemon.waiting import LIMIT
 from tests.paths import ROOT
 
@@ -18,12 +19,14 @@ COMPILED = ("logs/csv_lines", "nav/repetition")
 
 @pytest.fixture
 def checkout(tmp_path):
-    """Return a checkout whose kernel is two short modules."""
+    """Return a checkout that compiles two short modules and none of the kernel."""
     for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tmp_path)
     for folder in ("ekf_companion", "sim_autopilot", "systemd"):
         others = shutil.ignore_patterns("*.so", "*.c", "*.pxd", "__pycache__")
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=others)
+    for name in kernel_modules():
+        (tmp_path / CORE.relative_to(ROOT) / f"{name.replace('.', '/')}.py").unlink()
     for name in COMPILED:
         shutil.copy(ROOT / f"ekf_companion/{name}.pxd", tmp_path / f"ekf_companion/{name}.pxd")
     for name in ("uPlot.js", "uPlot.css", "uPlot.LICENSE.txt"):

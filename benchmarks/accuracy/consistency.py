@@ -26,9 +26,9 @@ from benchmarks.campaign import (
 )
 from benchmarks.document import table
 from benchmarks.matched import matched
-from ekf_companion.core.enums import N
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import N
+from ekf_companion.core.memory.state import State
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Health, Verdict
 from ekf_companion.nav.arrays import Array
 

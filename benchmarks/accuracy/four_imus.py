@@ -20,8 +20,8 @@ from scipy.stats import chi2
 from benchmarks.accuracy.outages import COVERED, Drift, cut, drift
 from benchmarks.campaign import pieces
 from benchmarks.document import is_there, table
-from ekf_companion.core.enums import E_POS
-from ekf_companion.core.settings import FilterSettings, ImuSettings
+from ekf_companion.core.memory.enums import E_POS
+from ekf_companion.core.settings.settings import FilterSettings, ImuSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame

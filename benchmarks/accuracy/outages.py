@@ -12,8 +12,8 @@ from benchmarks.accuracy.consistency import KINDS, settings_of
 from benchmarks.campaign import SCENARIOS, Snapshot, each, errors, fly, nees, pieces, roster
 from benchmarks.document import table
 from benchmarks.recorded import MISSION, TRUTH, recorded
-from ekf_companion.core.enums import E_POS
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.memory.enums import E_POS
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory

@@ -16,7 +16,12 @@ import numpy as np
 
 from benchmarks.document import is_there, table
 from benchmarks.matched import ALMOST_NONE
-from ekf_companion.core.settings import FilterSettings, GnssSettings, HeadingSettings, ImuSettings
+from ekf_companion.core.settings.settings import (
+    FilterSettings,
+    GnssSettings,
+    HeadingSettings,
+    ImuSettings,
+)
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array

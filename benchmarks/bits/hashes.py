@@ -34,7 +34,7 @@ import numpy as np
 from ekf_companion.config.config import Config
 
 # What follows is all that a refactoring may have to change here
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.state import State
 from ekf_companion.daemon.reception import deliver
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind
 from sim_autopilot import events as wire

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.memory import as_state
+from ekf_companion.core.memory.overlay import as_state
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.messages import LAYOUTS, Layout

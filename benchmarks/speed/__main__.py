@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion import __version__
-from ekf_companion.core import kernel
+from ekf_companion.core.order import step
 
 PARTS = {  # by the module that measures each
     "steps": "The filter's step (one thread, this machine)",
@@ -86,7 +86,7 @@ def machine() -> dict[str, str]:
 
 def is_compiled() -> bool:
     """Return whether the step is machine code, not Python that nobody has compiled."""
-    return not (kernel.__file__ or "").endswith(".py")
+    return not (step.__file__ or "").endswith(".py")
 
 
 if __name__ == "__main__":

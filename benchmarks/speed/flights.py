@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import (
     Events,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_companion.core.settings import ImuSettings
+from ekf_companion.core.settings.settings import ImuSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import LocalFrame, gravity

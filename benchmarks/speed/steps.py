@@ -20,7 +20,7 @@ import numpy.typing as npt
 from benchmarks.speed import flights, recordings
 from benchmarks.speed.reference import Reference
 from benchmarks.speed.result import Result
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.arrays import Array

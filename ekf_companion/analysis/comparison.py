@@ -14,7 +14,7 @@ from ekf_companion.analysis import attitude, difference
 from ekf_companion.analysis.closure import closure
 from ekf_companion.analysis.consistency import nees
 from ekf_companion.analysis.difference import euler_errors, rms, tilt_errors
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError, MissingPackageError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.estimate import of_table

@@ -23,7 +23,7 @@ LEG = 1.0
 SMOOTH_S = 0.2
 """The mean over such a time is motion, the rest is vibration: 5 Hz, as ArduPilot's VIBE has it."""
 LEAST_RATE, LEAST_FORCE = 0.5, 11.5
-"""rad/s and m/s^2: no sensor has a smaller range; as the estimator has it (core/doubt.py)."""
+"""rad/s and m/s^2: no sensor has a smaller range; as the estimator has it (core/trust/doubt.py)."""
 SAME = 1e-4
 """Relative difference of two readings at the end of a range; likewise."""
 STEEP = 0.01

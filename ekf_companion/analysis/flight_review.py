@@ -14,8 +14,8 @@ from ekf_companion.analysis.judgement import judge_log, take_truth
 from ekf_companion.analysis.status_bands import Band, bands
 from ekf_companion.config.config import Config
 from ekf_companion.config.keys import KEYS, value_of
-from ekf_companion.core.from_settings import delays_ns
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.onboard import Onboard
 from ekf_companion.logs.recording import Recording

@@ -26,7 +26,7 @@ import numpy as np
 
 from ekf_companion.analysis.observability_filter import STEP_NS, ObservabilityFilter, Step, is_field
 from ekf_companion.analysis.observability_motion import Motion
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observation import Azimuth

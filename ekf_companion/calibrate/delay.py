@@ -34,8 +34,8 @@ import numpy as np
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.likelihood import Likelihood
 from ekf_companion.calibrate.result import Result, Setting, rounded
-from ekf_companion.core.from_settings import delays_ns
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError, part_of
 from ekf_companion.logs.recording import Recording

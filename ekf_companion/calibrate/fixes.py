@@ -10,8 +10,8 @@ import numpy as np
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.rest import Stretch
 from ekf_companion.calibrate.scatter import Scatter, measure
-from ekf_companion.core.from_settings import delays_ns
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording

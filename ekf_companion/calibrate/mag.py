@@ -22,7 +22,7 @@ import numpy as np
 from ekf_companion.calibrate import ellipsoid
 from ekf_companion.calibrate.ellipsoid import Fit
 from ekf_companion.calibrate.result import Result, Setting, rounded, spelled
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array, Indices, Mask, known_rows

@@ -20,7 +20,7 @@ from ekf_companion.calibrate.fixes import Receiver
 from ekf_companion.calibrate.rest import Stretch
 from ekf_companion.calibrate.result import Result, Setting, rounded
 from ekf_companion.calibrate.scatter import Scatter
-from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
 

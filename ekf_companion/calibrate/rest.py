@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.core.settings import AlignSettings
+from ekf_companion.core.settings.settings import AlignSettings
 from ekf_companion.filters.inertial import inertial_samples, is_stationary
 from ekf_companion.nav.arrays import Array, Mask, Stamps, runs
 from ekf_companion.nav.measurements import (

@@ -1,6 +1,7 @@
 """Read a YAML file into frozen dataclasses; every error names file, key, value and remedy.
 
-``core/settings.py`` explains the settings of the estimator, ``service.py`` those of the service.
+``core/settings/settings.py`` explains the settings of the estimator, ``service.py`` those of the
+service.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from ekf_companion.config.service import (
     SigningConfig,
     TimesyncConfig,
 )
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
 from ekf_companion.link.address import parse_monitor, parse_peer, parse_url
 

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.setting import Setting
+from ekf_companion.core.settings.setting import Setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

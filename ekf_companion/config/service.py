@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from ekf_companion.core.setting import Param, Setting
+from ekf_companion.core.settings.setting import Param, Setting
 
 Identifier = Annotated[int, Meta(ge=1, le=255)]
 Rate = Annotated[float, Meta(gt=0.0, le=1000.0), Setting("Hz", reload=True)]

@@ -1,7 +1,7 @@
-from ekf_companion.core.enums cimport N
-from ekf_companion.core.parameters cimport Parameters
-from ekf_companion.core.scratch cimport Hindsight, Observation, Scratch, TapeRecord
-from ekf_companion.core.state cimport State
+from ekf_companion.core.memory.enums cimport N
+from ekf_companion.core.memory.parameters cimport Parameters
+from ekf_companion.core.memory.scratch cimport Hindsight, Observation, Scratch, TapeRecord
+from ekf_companion.core.memory.state cimport State
 cdef class Smoother:
     cdef double[::1] numbers
     cdef double[:, ::1] blocks

@@ -20,9 +20,9 @@ from __future__ import annotations
 import cython
 import numpy as np
 from cython import address
-from cython.cimports.ekf_companion.core import kernel, tape
-from cython.cimports.ekf_companion.core.correct import difference, inject, rebase
-from cython.cimports.ekf_companion.core.enums import (
+from cython.cimports.ekf_companion.core.filter import tape
+from cython.cimports.ekf_companion.core.filter.update import difference, inject, rebase
+from cython.cimports.ekf_companion.core.memory.enums import (
     KIND_IMU,
     LINK_CUT,
     LINK_MOVED,
@@ -30,8 +30,7 @@ from cython.cimports.ekf_companion.core.enums import (
     MODE_ATTITUDE,
     N,
 )
-from cython.cimports.ekf_companion.core.estimate import write_estimate
-from cython.cimports.ekf_companion.core.memory import (
+from cython.cimports.ekf_companion.core.memory.overlay import (
     Vector,
     as_estimate,
     as_events,
@@ -41,7 +40,7 @@ from cython.cimports.ekf_companion.core.memory import (
     as_states,
     copy_state,
 )
-from cython.cimports.ekf_companion.core.scratch import (
+from cython.cimports.ekf_companion.core.memory.scratch import (
     OUT,
     RECORD,
     Hindsight,
@@ -49,7 +48,9 @@ from cython.cimports.ekf_companion.core.scratch import (
     Scratch,
     TapeRecord,
 )
-from cython.cimports.ekf_companion.core.state import BLOCK, State
+from cython.cimports.ekf_companion.core.memory.state import BLOCK, State
+from cython.cimports.ekf_companion.core.order import step
+from cython.cimports.ekf_companion.core.output.estimate import write_estimate
 from cython.cimports.libc.math import sqrt
 
 KNOWN = cython.declare(cython.double, 1e-12)
@@ -137,7 +138,7 @@ class Smoother:
         first = 0
         for i in range(table.shape[0]):
             if rows[i].kind == KIND_IMU:
-                kernel.step(self.x, self.k, address(self.w), rows, first, i)
+                step.step(self.x, self.k, address(self.w), rows, first, i)
                 first = i + 1
                 if self.w.tape.is_on:
                     tape.record_sample(self.x, address(self.w))

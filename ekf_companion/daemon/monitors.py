@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.memory import as_estimate
+from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.engine.publisher import NEVER_NS, Due, Publisher

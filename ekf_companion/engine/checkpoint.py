@@ -25,14 +25,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.config.service import CheckpointConfig
-from ekf_companion.core import enums
-from ekf_companion.core import state as declared_state
-from ekf_companion.core.declare import pxd
-from ekf_companion.core.enums import Mode, Reset
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.scratch import ROW
-from ekf_companion.core.settings import HABITS
-from ekf_companion.core.state import BLOCK, Alignment, Field
+from ekf_companion.core.memory import enums
+from ekf_companion.core.memory import state as declared_state
+from ekf_companion.core.memory.declare import pxd
+from ekf_companion.core.memory.enums import Mode, Reset
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.scratch import ROW
+from ekf_companion.core.memory.state import BLOCK, Alignment, Field
+from ekf_companion.core.settings.settings import HABITS
 from ekf_companion.engine.checkpoint_parts import (
     Clocks,
     Origin,
@@ -62,7 +62,7 @@ STEADY_NS = 3_000_000_000
 _HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s7d2I")
 _LARGEST_RANK = 4
 _HIGHEST = 1e5
-"""Of an origin, m, as of a fix (``core/events.py``)."""
+"""Of an origin, m, as of a fix (``core/order/events.py``)."""
 _FARTHEST = 1e3
 """Slow error of a receiver, m: none that is believed comes near."""
 

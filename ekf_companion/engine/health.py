@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ekf_companion.core.enums import Aid, Arrival, Verdict
+from ekf_companion.core.memory.enums import Aid, Arrival, Verdict
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Reason, Status
 

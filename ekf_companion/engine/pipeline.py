@@ -7,15 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from ekf_companion.core.enums import NeedsReset
-from ekf_companion.core.field import Field
-from ekf_companion.core.from_settings import delays_ns, parameters
-from ekf_companion.core.memory import as_estimate, as_state
-from ekf_companion.core.scratch import OUT
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.state import BLOCK
-from ekf_companion.core.state import State as FilterState
-from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
+from ekf_companion.core.memory.enums import NeedsReset
+from ekf_companion.core.memory.overlay import as_estimate, as_state
+from ekf_companion.core.memory.scratch import OUT
+from ekf_companion.core.memory.state import BLOCK
+from ekf_companion.core.memory.state import State as FilterState
+from ekf_companion.core.order.timeline import COMPILED_BLOCK, Timeline
+from ekf_companion.core.settings.field import Field
+from ekf_companion.core.settings.from_settings import delays_ns, parameters
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Origin, State, settings_fingerprint
 from ekf_companion.engine.health import (
     HEADING_SENSORS,

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.from_settings import has_mean_samples, imu_lag
+from ekf_companion.core.settings.from_settings import has_mean_samples, imu_lag
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate

@@ -1,15 +1,15 @@
 """The reasons of a status in words, with their numbers: for the pilot, the log and the status.
 
-Which of them hold, the kernel decides (``core/estimate.py``). The words have 29 characters at most:
-a pilot's text has 50, with its sender and the status before them.
+Which of them hold, the kernel decides (``core/output/estimate.py``). The words have 29 characters
+at most: a pilot's text has 50, with its sender and the status before them.
 """
 
 from __future__ import annotations
 
 import math
 
-from ekf_companion.core.enums import Aid, Azimuth
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import Aid, Azimuth
+from ekf_companion.core.memory.state import State
 from ekf_companion.nav.reason import ORDER, WORDS
 from ekf_companion.nav.state import Reason
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from struct import Struct
 from typing import NamedTuple
 
-from ekf_companion.core.step import unexplained_step
+from ekf_companion.core.output.jump import unexplained_step
 from ekf_companion.nav.matrix3 import Vector3, apply, from_quaternion
 from ekf_companion.nav.state import Odometry
 

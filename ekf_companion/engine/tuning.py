@@ -16,7 +16,7 @@ import msgspec
 from ekf_companion.config.config import Config, describe_config, parse_config
 from ekf_companion.config.keys import KEYS, Key, value_of, with_value
 from ekf_companion.config.reload import Reload, reload
-from ekf_companion.core.setting import Param
+from ekf_companion.core.settings.setting import Param
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.parameters import Parameter
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
 from ekf_companion.nav import so3

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.core.enums import E_ATT, E_BA, E_BG, E_POS, E_VEL, Arrival, Mode
-from ekf_companion.core.from_settings import parameters
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.timeline import Timeline
+from ekf_companion.core.memory.enums import E_ATT, E_BA, E_BG, E_POS, E_VEL, Arrival, Mode
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.order.timeline import Timeline
+from ekf_companion.core.settings.from_settings import parameters
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.strapdown import ATT, BA, BG, POS, VEL, N, Nominal
 from ekf_companion.nav import so3

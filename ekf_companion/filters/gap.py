@@ -1,8 +1,9 @@
 """Gaps in a vehicle's inertial samples: what it does meanwhile, as the main estimator takes it.
 
 Rate and specific force are a first-order Gauss-Markov process each, whose values at both ends of a
-gap are known. The numbers are those of ``inflate_after_gap`` in :mod:`ekf_companion.core.kernel`,
-whose equations are compiled for its own state; ``tests/filters/test_gap.py`` compares both.
+gap are known. The numbers are those of ``inflate_after_gap`` in
+:mod:`ekf_companion.core.order.step`, whose equations are compiled for its own
+state; ``tests/filters/test_gap.py`` compares both.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ekf_companion.core.settings import ImuSettings
+from ekf_companion.core.settings.settings import ImuSettings
 from ekf_companion.filters.strapdown import ATT, POS, VEL, Earth, Interval, N, Nominal
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array

@@ -6,8 +6,8 @@ from enum import Enum
 
 import numpy as np
 
-from ekf_companion.core.from_settings import chi_square_quantile
-from ekf_companion.core.settings import GateSettings
+from ekf_companion.core.settings.from_settings import chi_square_quantile
+from ekf_companion.core.settings.settings import GateSettings
 from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav.arrays import Array

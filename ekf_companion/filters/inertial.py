@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core.settings import AlignSettings, ImuSettings
+from ekf_companion.core.settings.settings import AlignSettings, ImuSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.earth import STANDARD_GRAVITY

@@ -1,7 +1,8 @@
 """A recording as a sequence of intervals of motion with aids at their ends, and a filter over it.
 
-Events count at the time when they were true: the delays of :mod:`ekf_companion.core.settings` are
-subtracted, and an aid between two inertial samples splits their interval.
+Events count at the time when they were true: the delays of
+:mod:`ekf_companion.core.settings.settings` are subtracted, and an aid between
+two inertial samples splits their interval.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ekf_companion.core.field import Field
-from ekf_companion.core.from_settings import delays_ns
-from ekf_companion.core.settings import HABITS, FilterSettings
+from ekf_companion.core.settings.field import Field
+from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from ekf_companion.errors import FilterError, LogError
 from ekf_companion.filters import aiding
 from ekf_companion.filters.alignment import InitialEstimate, align

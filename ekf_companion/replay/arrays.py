@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters.observation import Observation
 from ekf_companion.logs.recording import Recording

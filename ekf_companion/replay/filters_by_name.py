@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ekf_companion.core.enums import E_ATT, E_DELAY, E_POS, E_VEL
-from ekf_companion.core.field import Field
-from ekf_companion.core.from_settings import delays_ns
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.memory.enums import E_ATT, E_DELAY, E_POS, E_VEL
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.field import Field
+from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.from_settings import delays_ns
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.core.from_settings import delays_ns, parameters
+from ekf_companion.core.memory.scratch import OUT, ROW, Event
+from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.rts import Smoother
-from ekf_companion.core.scratch import OUT, ROW, Event
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.state import BLOCK
+from ekf_companion.core.settings.from_settings import delays_ns, parameters
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind

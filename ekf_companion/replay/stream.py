@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import DataError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import REFUSALS, Aid, Verdict
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events

@@ -11,8 +11,8 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ekf_companion.core.enums import Azimuth
-from ekf_companion.core.memory import as_estimate
+from ekf_companion.core.memory.enums import Azimuth
+from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.mavlink.decode import heading, inertial

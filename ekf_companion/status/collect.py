@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from ekf_companion.core.memory import as_estimate
+from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link

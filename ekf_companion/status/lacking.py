@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ekf_companion.core.enums import Aid, Arrival, Verdict
+from ekf_companion.core.memory.enums import Aid, Arrival, Verdict
 from ekf_companion.engine.health import Health
 from ekf_companion.nav.measurements import Kind
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from ekf_companion.core.memory import as_estimate
+from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
 from ekf_companion.nav.state import Status

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ekf_companion.core.memory import as_estimate
+from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.reason import LONGEST_STEP, NONE, Seconds, add_seconds, foremost
 from ekf_companion.nav.state import Status

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from ekf_companion import open_log, run_filter
 from ekf_companion.analysis import comparison, trajectory_figure
 from ekf_companion.cli import app
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.recording import Recording

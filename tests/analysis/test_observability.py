@@ -16,7 +16,7 @@ from ekf_companion.analysis.observability_filter import (
 )
 from ekf_companion.analysis.observability_motion import Motion
 from ekf_companion.analysis.observability_report import lines, summarise, to_dict
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.sequence import MeasurementSequence

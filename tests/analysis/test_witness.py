@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.analysis.judgement import judge_log
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3

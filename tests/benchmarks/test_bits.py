@@ -4,8 +4,8 @@ import numpy as np
 
 from benchmarks.bits.__main__ import compare
 from benchmarks.bits.hashes import by_column, by_field, by_part
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.state import BLOCK, State
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.state import BLOCK, State
 
 
 def test_a_result_that_differs_is_named_with_its_case():

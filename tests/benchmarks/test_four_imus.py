@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy import four_imus
 from benchmarks.accuracy.four_imus import FLIGHTS, FOLDER, Track, Unit, mounting
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.nav import so3
 from tests.paths import DATA
 

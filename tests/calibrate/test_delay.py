@@ -8,7 +8,7 @@ import pytest
 from benchmarks.delay import measured as measured_in
 from ekf_companion.calibrate import delay
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings import FilterSettings, GnssSettings
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Kind
 from sim_autopilot.config import GnssConfig, ImuConfig

@@ -4,7 +4,7 @@ import pytest
 from ekf_companion.calibrate import ellipsoid, mag
 from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, parse_config
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.nav import so3

@@ -6,7 +6,7 @@ import pytest
 from ekf_companion.calibrate import fixes, noise, rest
 from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, parse_config
-from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.yaml_file import YamlLoader

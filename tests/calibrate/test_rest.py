@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.calibrate import rest
-from ekf_companion.core.settings import AlignSettings
+from ekf_companion.core.settings.settings import AlignSettings
 from ekf_companion.nav.measurements import Events, Kind
 from tests.calibrate.recordings import fly, joined, without
 

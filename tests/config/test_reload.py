@@ -6,7 +6,7 @@ import pytest
 from ekf_companion.config.config import Config, parse_config
 from ekf_companion.config.keys import KEYS, with_value
 from ekf_companion.config.reload import reload
-from ekf_companion.core.settings import FilterSettings, GateSettings, ImuSettings
+from ekf_companion.core.settings.settings import FilterSettings, GateSettings, ImuSettings
 from ekf_companion.engine.pipeline import Pipeline
 from sim_autopilot.config import SimConfig
 from sim_autopilot.events import events

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ekf_companion.core.enums import (
+from ekf_companion.core.memory.enums import (
     E_ATT,
     E_BA,
     E_BARO,
@@ -16,8 +16,8 @@ from ekf_companion.core.enums import (
     E_VEL,
     N,
 )
-from ekf_companion.core.parameters import Parameters
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.state import State
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
 

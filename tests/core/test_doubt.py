@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import AID_VELOCITY
-from ekf_companion.core.parameters import Parameters
-from ekf_companion.core.scratch import Fix, Observation
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import AID_VELOCITY
+from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.scratch import Fix, Observation
+from ekf_companion.core.memory.state import State
 from tests.core.interpreted import load
 
 FIXES = 1000

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_ATT, E_HEADING, N
-from ekf_companion.core.scratch import Observation
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import E_ATT, E_HEADING, N
+from ekf_companion.core.memory.scratch import Observation
+from ekf_companion.core.memory.state import State
 from tests.core.interpreted import load
 
 STATED = 0.04

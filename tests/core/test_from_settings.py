@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ekf_companion.core.from_settings import chi_square_quantile, delays_ns, parameters
-from ekf_companion.core.memory import as_parameters
-from ekf_companion.core.settings import HABITS, FilterSettings, GnssSettings
+from ekf_companion.core.memory.overlay import as_parameters
+from ekf_companion.core.settings.from_settings import chi_square_quantile, delays_ns, parameters
+from ekf_companion.core.settings.settings import HABITS, FilterSettings, GnssSettings
 from ekf_companion.nav.measurements import Kind
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.scratch import ImuRow
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.scratch import ImuRow
+from ekf_companion.core.memory.state import State
 from tests.core.interpreted import load
 
 LOOP = 1.0 / 300.0

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_BA, E_BG, E_VEL, N
-from ekf_companion.core.scratch import Fix, Observation
-from ekf_companion.core.state import Reference, State
+from ekf_companion.core.memory.enums import E_BA, E_BG, E_VEL, N
+from ekf_companion.core.memory.scratch import Fix, Observation
+from ekf_companion.core.memory.state import Reference, State
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
 from tests.core.states import a_state, array, plus, some_parameters

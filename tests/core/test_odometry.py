@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.core.enums import E_ATT, E_GNSS, E_POS, E_VEL, N
-from ekf_companion.core.scratch import Estimate, OdometryNumbers, Scratch
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import E_ATT, E_GNSS, E_POS, E_VEL, N
+from ekf_companion.core.memory.scratch import Estimate, OdometryNumbers, Scratch
+from ekf_companion.core.memory.state import State
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Status
 from tests.core.flights import between, flight

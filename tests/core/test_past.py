@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.scratch import Then
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.scratch import Then
+from ekf_companion.core.memory.state import State
 from tests.core.interpreted import load
 from tests.core.states import array
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ekf_companion.core.enums import E_HEADING, Azimuth, N
-from ekf_companion.core.parameters import Parameters
-from ekf_companion.core.scratch import Motion, TapeRecord
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import E_HEADING, Azimuth, N
+from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.scratch import Motion, TapeRecord
+from ekf_companion.core.memory.state import State
 from ekf_companion.nav import earth, so3
 from tests.core.interpreted import load
 from tests.core.states import a_state, array, copy, minus, plus, some_parameters

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import (
+from ekf_companion.core.memory.enums import (
     E_ATT,
     E_BG,
     E_DELAY,
@@ -13,14 +13,14 @@ from ekf_companion.core.enums import (
     Mode,
     N,
 )
-from ekf_companion.core.from_settings import delays_ns, parameters
-from ekf_companion.core.memory import as_state, copy_state
-from ekf_companion.core.parameters import PARAMETERS
+from ekf_companion.core.memory.overlay import as_state, copy_state
+from ekf_companion.core.memory.parameters import PARAMETERS
+from ekf_companion.core.memory.scratch import OUT, Event, Fix, Scratch, TapeRecord
+from ekf_companion.core.memory.state import BLOCK, State
+from ekf_companion.core.order.timeline import Timeline
 from ekf_companion.core.rts import Smoother
-from ekf_companion.core.scratch import OUT, Event, Fix, Scratch, TapeRecord
-from ekf_companion.core.settings import FilterSettings, GnssSettings
-from ekf_companion.core.state import BLOCK, State
-from ekf_companion.core.timeline import Timeline
+from ekf_companion.core.settings.from_settings import delays_ns, parameters
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.filters.gap import lost_motion
 from ekf_companion.nav.measurements import Events, Kind
 from tests.core.flights import between, flight
@@ -127,8 +127,8 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
         array(o.z)[:m] = rng.normal(0.0, TINY, m)
         H, z, R = np.array(o.H)[:m], np.array(o.z)[:m], np.diag(np.diag(np.array(o.R))[:m])
         o.shows_delay = 1
-        core.correct.innovate(x, o)
-        core.correct.apply_update(x, o)
+        core.update.innovate(x, o)
+        core.update.apply_update(x, o)
         batch.measure(H, z, R)
         batch.b = batch.b - np.array(o.dx)
 
@@ -162,7 +162,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
             batch.move(np.eye(N), np.diag(extra))
         if step == 20:  # a position set anew, after an update of other states in the same event
             array(x.pos_n)[:2] += 0.7
-            core.correct.reset_variance(x, E_POS, 2, TINY**2)
+            core.update.reset_variance(x, E_POS, 2, TINY**2)
             core.tape.record_event(x, w)
             keep = np.ones(N)
             keep[E_POS : E_POS + 2] = 0.0
@@ -271,10 +271,10 @@ def test_records_say_what_follows_from_what():
     x.mode = Mode.ATTITUDE
     core.tape.record_sample(x, w)  # the first
     core.tape.record_event(x, w)
-    core.correct.reset_variance(x, E_VEL, 3, 1.0)
+    core.update.reset_variance(x, E_VEL, 3, 1.0)
     core.tape.record_event(x, w)
-    core.correct.reset_variance(x, E_BG, 1, 1.0)
-    core.correct.reset_variance(x, E_ATT + 2, 1, 1.0)
+    core.update.reset_variance(x, E_BG, 1, 1.0)
+    core.update.reset_variance(x, E_ATT + 2, 1, 1.0)
     core.tape.record_sample(x, w)
     core.tape.record_sample(x, w)
     x.mode = Mode.LEVEL

@@ -3,10 +3,11 @@ import ctypes
 import numpy as np
 import pytest
 
-from ekf_companion.core import enums, parameters, scratch, state, timeline
-from ekf_companion.core.declare import pxd
-from ekf_companion.core.memory import as_estimate
-from ekf_companion.core.state import BLOCK, State
+from ekf_companion.core.memory import enums, parameters, scratch, state
+from ekf_companion.core.memory.declare import pxd
+from ekf_companion.core.memory.overlay import as_estimate
+from ekf_companion.core.memory.state import BLOCK, State
+from ekf_companion.core.order import timeline
 from ekf_companion.nav.measurements import WIDTH
 from ekf_companion.nav.state import COLUMNS
 from tests.core.interpreted import FOLDER
@@ -15,7 +16,7 @@ from tests.core.interpreted import FOLDER
 @pytest.mark.parametrize("module", [enums, state, parameters, scratch])
 def test_the_compiler_was_given_what_is_declared(module):
     name = module.__name__.rpartition(".")[2]
-    assert (FOLDER / f"{name}.pxd").read_text(encoding="utf-8") == pxd(module)
+    assert (FOLDER / "memory" / f"{name}.pxd").read_text(encoding="utf-8") == pxd(module)
     assert timeline.COMPILED_BLOCK == BLOCK
 
 

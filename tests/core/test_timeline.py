@@ -3,12 +3,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.core.enums import E_BA, E_BARO, E_BG, E_DELAY, E_IRON, Mode, Reset
-from ekf_companion.core.from_settings import delays_ns, parameters
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.scratch import OUT
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.timeline import Timeline
+from ekf_companion.core.memory.enums import E_BA, E_BARO, E_BG, E_DELAY, E_IRON, Mode, Reset
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.scratch import OUT
+from ekf_companion.core.order.timeline import Timeline
+from ekf_companion.core.settings.from_settings import delays_ns, parameters
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Arrival
 from ekf_companion.nav.measurements import Events, Kind
 from tests.core.flights import flight

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_BARO, E_BG, E_HEADING
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.enums import E_BARO, E_BG, E_HEADING
+from ekf_companion.core.memory.state import State
 from tests.core.interpreted import load
 
 WALK = 3e-5

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import YAW_FILTERS, Mode
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.parameters import Parameters
-from ekf_companion.core.scratch import Motion, YawUpdate
-from ekf_companion.core.state import State, YawBank
-from ekf_companion.core.timeline import Timeline
+from ekf_companion.core.memory.enums import YAW_FILTERS, Mode
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.scratch import Motion, YawUpdate
+from ekf_companion.core.memory.state import State, YawBank
+from ekf_companion.core.order.timeline import Timeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
 from tests.core.flights import flight, without

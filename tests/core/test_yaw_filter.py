@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import YAW_N
-from ekf_companion.core.scratch import YawUpdate
-from ekf_companion.core.state import YawBank, YawFilter
+from ekf_companion.core.memory.enums import YAW_N
+from ekf_companion.core.memory.scratch import YawUpdate
+from ekf_companion.core.memory.state import YawBank, YawFilter
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
 from tests.core.states import array, copy

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.state import State
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
 

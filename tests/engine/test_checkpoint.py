@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ekf_companion.core import enums
-from ekf_companion.core.enums import Mode
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings, GateSettings, GnssSettings
-from ekf_companion.core.state import BLOCK
-from ekf_companion.core.timeline import Timeline
+from ekf_companion.core.memory import enums
+from ekf_companion.core.memory.enums import Mode
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.state import BLOCK
+from ekf_companion.core.order.timeline import Timeline
+from ekf_companion.core.settings.settings import FilterSettings, GateSettings, GnssSettings
 from ekf_companion.engine import checkpoint
 from ekf_companion.engine.checkpoint import (
     Checkpoint,

@@ -8,7 +8,7 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
-from ekf_companion.core.settings import GateSettings
+from ekf_companion.core.settings.settings import GateSettings
 from ekf_companion.engine.announcer import SILENCE_NS
 from ekf_companion.engine.companion import Companion
 from tests.engine.conversation import SECOND_NS, STREAMING, converse, cycles, messages, named

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_DELAY
-from ekf_companion.core.from_settings import SET_STD
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import HABITS, FilterSettings
+from ekf_companion.core.memory.enums import E_DELAY
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.from_settings import SET_STD
+from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind, merge
 from sim_autopilot import events as wire

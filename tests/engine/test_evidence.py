@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import Kind
+from ekf_companion.core.memory.enums import Kind
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.publisher import _estimator_status

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame

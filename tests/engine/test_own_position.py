@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.field import FLAGS
-from ekf_companion.core.settings import FilterSettings, GnssSettings
+from ekf_companion.core.settings.field import FLAGS
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
 from ekf_companion.nav.state import COLUMNS, GEODETIC, Status
 from tests.core.flights import between, flight, without

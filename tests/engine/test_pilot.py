@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.core.state import State
+from ekf_companion.core.memory.state import State
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.announcer import Announcer
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.estimate_announcer import LONGEST_TEXT

@@ -3,8 +3,13 @@ import math
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings, GateSettings, GnssSettings, HeadingSettings
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.settings import (
+    FilterSettings,
+    GateSettings,
+    GnssSettings,
+    HeadingSettings,
+)
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3

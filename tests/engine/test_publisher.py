@@ -11,7 +11,7 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.publisher import STREAMS, Due, Publisher

@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import GnssSettings
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.settings import GnssSettings
 from ekf_companion.engine import checkpoint as checkpoint_bytes
 from ekf_companion.engine.checkpoint import MOST_STARTS, decode, encode
 from ekf_companion.engine.companion import Companion

@@ -9,7 +9,7 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
-from ekf_companion.core.enums import Aid, Azimuth
+from ekf_companion.core.memory.enums import Aid, Azimuth
 from ekf_companion.engine.companion import Companion
 from ekf_companion.nav.state import Status
 from ekf_companion.status.aids import sources_of

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import AID_POSITION, E_VEL, VERDICT_FUSED, Mode
-from ekf_companion.core.from_settings import parameters
-from ekf_companion.core.memory import as_parameters, as_state
-from ekf_companion.core.settings import AlignSettings, FilterSettings, HeadingSettings
+from ekf_companion.core.memory.enums import AID_POSITION, E_VEL, VERDICT_FUSED, Mode
+from ekf_companion.core.memory.overlay import as_parameters, as_state
+from ekf_companion.core.settings.from_settings import parameters
+from ekf_companion.core.settings.settings import AlignSettings, FilterSettings, HeadingSettings
 from ekf_companion.engine.health import RESET_REASONS, Aid, Verdict
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Status, Table, Trajectory
@@ -200,7 +200,7 @@ def test_rotors_near_the_ground_do_not_move_the_height():
 
 
 def test_a_state_out_of_bounds_is_restored_from_the_last_good_one_once():
-    kernel = load().kernel
+    kernel = load().step
     events, _ = flight("figure-eight", duration=20.0)
     _, pipeline = run(events)
     block = pipeline._timeline.block()

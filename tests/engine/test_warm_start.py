@@ -8,8 +8,8 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import GnssSettings
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.settings import GnssSettings
 from ekf_companion.engine.checkpoint import MOST_STARTS, Clocks, Vehicle, decode, encode
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import WarmStart

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.matched import matched
-from ekf_companion.core.settings import GateSettings
+from ekf_companion.core.settings.settings import GateSettings
 from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Decision, Gate
 from ekf_companion.filters.iterated import Iterated

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.filters.euler import Euler
 from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.sequence import MeasurementSequence, NavigationFilter, run_sequence

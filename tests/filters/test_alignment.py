@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_ATT, E_VEL, Mode
-from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
+from ekf_companion.core.memory.enums import E_ATT, E_VEL, Mode
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.filters import euler_article

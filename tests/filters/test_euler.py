@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy.seed import rmse, truth
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import FilterError
 from ekf_companion.filters import euler, euler_article
 from ekf_companion.filters.euler import Euler

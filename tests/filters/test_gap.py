@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.matched import matched
-from ekf_companion.core.enums import E_ATT, E_POS, E_VEL, N
-from ekf_companion.core.memory import as_state
+from ekf_companion.core.memory.enums import E_ATT, E_POS, E_VEL, N
+from ekf_companion.core.memory.overlay import as_state
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.filters import ahrs, gap, mahony, zupt
 from ekf_companion.filters.gap import lost_motion, over_gap, seen_share

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.from_settings import chi_square_quantile
-from ekf_companion.core.settings import GateSettings
+from ekf_companion.core.settings.from_settings import chi_square_quantile
+from ekf_companion.core.settings.settings import GateSettings
 from ekf_companion.filters.gate import Decision, Gate
 
 S = np.diag([4.0, 4.0, 9.0])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters import (
     ahrs,
@@ -86,7 +86,7 @@ def test_estimates_are_of_the_time_when_the_samples_were_true(name):
 
 
 def test_a_field_that_is_told_late_is_taken_when_it_was_true():
-    """ArduPilot's fields are late by 0.05 s, its samples by 0.0115 s (core/settings.py)."""
+    """ArduPilot's fields are late by 0.05 s, its samples by 0.0115 s (``core/settings``)."""
     events, truth = swing(Swing(seconds=30.0, turn=2.0, mag_noise=0.0))
     late = np.where(events.kind == Kind.MAG, 50_000_000, 11_500_000)
     told = Events(t_ns=events.t_ns + late, kind=events.kind, values=events.values)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.matched import matched
-from ekf_companion.core.settings import FilterSettings, GateSettings
+from ekf_companion.core.settings.settings import FilterSettings, GateSettings
 from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.iterated import Iterated, run

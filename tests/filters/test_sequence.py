@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.matched import matched
-from ekf_companion.core.settings import (
+from ekf_companion.core.settings.settings import (
     FilterSettings,
     GnssSettings,
     HeadingSettings,

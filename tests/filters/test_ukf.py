@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from benchmarks.matched import matched
 from ekf_companion.analysis.consistency import nees
-from ekf_companion.core.settings import GateSettings
+from ekf_companion.core.settings.settings import GateSettings
 from ekf_companion.filters import sigma_points, strapdown, ukf
 from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Gate

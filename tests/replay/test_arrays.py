@@ -9,7 +9,7 @@ import pytest
 
 import ekf_companion
 from ekf_companion import OwnAid, estimate
-from ekf_companion.core.settings import FilterSettings, GnssSettings
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters import mahony
 from ekf_companion.logs.estimate import is_estimate, read_estimate

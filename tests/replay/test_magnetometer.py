@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings import FilterSettings, HeadingSettings
+from ekf_companion.core.settings.settings import FilterSettings, HeadingSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.magnetometer import MagnetometerCheck

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ekf_companion.core.enums import E_ATT, E_BA, E_BARO, E_HEADING, E_POS, E_VEL
-from ekf_companion.core.from_settings import parameters
-from ekf_companion.core.memory import as_state
+from ekf_companion.core.memory.enums import E_ATT, E_BA, E_BARO, E_HEADING, E_POS, E_VEL
+from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.rts import Smoother
-from ekf_companion.core.settings import (
+from ekf_companion.core.settings.from_settings import parameters
+from ekf_companion.core.settings.settings import (
     BaroSettings,
     FilterSettings,
     GateSettings,
@@ -18,7 +19,6 @@ from ekf_companion.core.settings import (
     HeadingSettings,
     ImuSettings,
 )
-from ekf_companion.core.state import BLOCK
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame

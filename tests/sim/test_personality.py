@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from ekf_companion.core.settings import HABITS
+from ekf_companion.core.settings.settings import HABITS
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.codec import Sender
 from sim_autopilot.autopilot import Autopilot

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Aid
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind

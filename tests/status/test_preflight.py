@@ -8,7 +8,7 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import PreflightConfig
-from ekf_companion.core.settings import GnssSettings
+from ekf_companion.core.settings.settings import GnssSettings
 from ekf_companion.status import preflight
 from ekf_companion.status.preflight import check
 from sim_autopilot.config import HomeConfig

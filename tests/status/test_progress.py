@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind

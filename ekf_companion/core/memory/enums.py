@@ -1,0 +1,206 @@
+"""Numbers that the kernel's modules share: what is enumerated, and where each error state lies.
+
+``setup.py`` makes ``enums.pxd`` from it, where a member is ``PREFIX_MEMBER``: ``MODE_LEVEL``.
+"""
+
+from enum import IntEnum, IntFlag
+
+from ekf_companion.core.memory.declare import enum_member
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.state import Reason, Status
+
+
+class Aid(IntEnum):
+    """What corrects the inertial solution."""
+
+    POSITION = 0
+    HEIGHT = 1
+    VELOCITY = 2
+    HEADING = 3
+    BARO = 4
+    REST = 5
+    """Standing still."""
+
+
+class Verdict(IntEnum):
+    """What became of a measurement of an aid when the filter processed it."""
+
+    FUSED = 0
+    GATED = 1
+    BEFORE_ALIGNMENT = 2
+    SUPERSEDED = 3
+    """A better source is in use, or the configuration excludes it."""
+    DEWEIGHTED = 4
+    """Fused with less weight: between the soft and the hard gate."""
+    SUSPECT = 5
+    """The receiver itself reports jamming or spoofing."""
+    DISTURBED = 6
+    """A magnetic field that is not the Earth's."""
+    DENIED = 7
+    """Within its gate, and contradicted by other evidence: the receiver's own motion, the specific
+    force, or the mean of its last innovations."""
+
+
+class Arrival(IntEnum):
+    """What became of a measurement on its arrival."""
+
+    TAKEN = 0
+    STALE = 1
+    """Older than the window."""
+    DUPLICATE = 2
+    MALFORMED = 3
+    """A value that no sensor can have."""
+    RESTARTED = 4
+    ESTIMATED = 5
+    """The newest inertial sample: there is an estimate for its stamp."""
+    HELD = 6
+    """An inertial sample whose stamp leaps ahead, until others go on from it."""
+    STRAY = 7
+    """An inertial sample whose stamp has leapt ahead alone: not used."""
+
+
+class Mode(IntEnum):
+    """What the filter is doing."""
+
+    INIT = 0
+    LEVEL = 1
+    """Levelling and finding north."""
+    ATTITUDE = 2
+    """It has an attitude, and no position yet."""
+    NAVIGATE = 3
+
+
+class NeedsReset(IntEnum):
+    """What a long inertial gap leaves to be done."""
+
+    NOTHING = 0
+    FIX = 1
+    """No fix has come since."""
+    TILT = 2
+    """Fixes have come again, but have not shown the attitude yet."""
+
+
+class HeadingChoice(IntEnum):
+    """Heading sources that the configuration allows."""
+
+    AUTO = 0
+    GNSS = 1
+    MAG = 2
+    AUTOPILOT = 3
+
+
+class Azimuth(IntEnum):
+    """Where the azimuth in use comes from; 0: from nowhere yet."""
+
+    ANTENNA = 1
+    """Two antennas of a receiver."""
+    OTHER = 2
+    """Another estimate."""
+    MAGNETIC = 3
+    """The magnetic field, before its declination is known."""
+    FIELD = 4
+    """The magnetic field, and its declination."""
+
+
+class Voice(IntEnum):
+    """Who contradicts the others about the climb."""
+
+    NONE = 0
+    HEIGHT = 1
+    """The receiver's height."""
+    VELOCITY = 2
+    """Its vertical velocity."""
+    BARO = 3
+    ANY = 4
+    """They disagree, and no two agree against a third."""
+
+
+class Reset(IntEnum):
+    """Why the state jumped."""
+
+    NONE = 0
+    POSITION = 1
+    VELOCITY = 2
+    HEIGHT = 3
+    HEADING = 4
+    GAP = 5
+    CLOCK = 6
+    BOUNDS = 7
+    MOTION = 8
+    """The heading contradicted the motion."""
+    RESTART = 9
+    ORIGIN = 10
+    """The receiver's first fix is far from the autopilot's own position: a new origin."""
+
+
+class Link(IntEnum):
+    """How a record of the tape follows from the one before."""
+
+    SAME = 0
+    """Whatever was measured in between, it is the same error of the same true state."""
+    MOVED = 1
+    """By the transition that the record holds, and noise."""
+    FRESH = 2
+    """The same, but some error states were drawn anew meanwhile."""
+    CUT = 3
+    """It does not follow: a new stretch begins."""
+
+
+ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
+    "KIND": Kind,
+    "STATUS": Status,
+    "REASON": Reason,
+    "ARRIVAL": Arrival,
+    "MODE": Mode,
+    "AID": Aid,
+    "VERDICT": Verdict,
+    "NEEDS": NeedsReset,
+    "CHOICE": HeadingChoice,
+    "AZIMUTH": Azimuth,
+    "RESET": Reset,
+    "LINK": Link,
+    "VOICE": Voice,
+}
+"""Enumerations that the kernel knows, by the prefix of their members: ``MODE_LEVEL``."""
+
+
+def __getattr__(name: str) -> int:
+    """Return a member of an enumeration as the compiled kernel has it: a plain number."""
+    return enum_member(ENUMS, __name__, name)
+
+
+# Where each error state begins, in this order in the covariance
+E_ATT = 0
+"""Attitude: a rotation vector in n."""
+E_VEL = 3
+E_POS = 6
+E_BG = 9
+"""Gyro bias."""
+E_BA = 12
+"""Accelerometer bias."""
+E_BARO = 15
+"""Offset of the barometer."""
+E_DELAY = 16
+"""How much later than its stamp a fix is."""
+E_HEADING = 17
+"""Slow error of the heading in use."""
+E_GNSS = 18
+"""Slow error of the receiver's position, in n."""
+E_IRON = 21
+"""Hard iron: the vehicle's own magnetic field, in b."""
+E_GNSS_VEL = 24
+"""Slow error of the receiver's velocity, in n."""
+N = 27
+
+AIDS = len(Aid)
+VERDICTS = len(Verdict)
+HEADINGS = 3
+"""Kinds of sensor of a heading: two antennas, another estimate, a compass; an :class:`Azimuth` less
+one, both of the magnetic field as one."""
+RUNS = 3
+"""Aids whose refused innovations are tested for consistency: position, height, velocity."""
+PAST = 15
+"""Velocities that are kept, 35 ms apart."""
+YAW_FILTERS = 8
+YAW_N = 9
+"""States of one yaw filter: velocity (2), yaw, tilt (2), gyro bias (3), delay."""

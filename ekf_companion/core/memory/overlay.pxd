@@ -1,0 +1,26 @@
+# Structs laid over arrays of doubles
+from ekf_companion.core.memory.enums cimport N
+from ekf_companion.core.memory.parameters cimport Parameters
+from ekf_companion.core.memory.scratch cimport Estimate, Event, OdometryNumbers, TapeRecord
+from ekf_companion.core.memory.state cimport State
+ctypedef double *Vector
+ctypedef double *Numbers  # a memoryview; the signature says so
+ctypedef double (*Dcm)[3]
+ctypedef double (*Square)[N]
+ctypedef Event *Structs
+cdef inline State *as_state(double[::1] block) noexcept nogil:
+    return <State *> &block[0]
+cdef inline State *as_states(double[:, ::1] blocks) noexcept nogil:
+    return <State *> &blocks[0, 0]
+cdef inline Parameters *as_parameters(double[::1] numbers) noexcept nogil:
+    return <Parameters *> &numbers[0]
+cdef inline Event *as_events(double[:, ::1] rows) noexcept nogil:
+    return <Event *> &rows[0, 0]
+cdef inline Estimate *as_estimate(double[::1] numbers) noexcept nogil:
+    return <Estimate *> &numbers[0]
+cdef inline OdometryNumbers *as_odometry(double[::1] numbers) noexcept nogil:
+    return <OdometryNumbers *> &numbers[0]
+cdef inline TapeRecord *as_records(double[:, ::1] records) noexcept nogil:
+    return <TapeRecord *> &records[0, 0]
+cdef inline void copy_state(State *to, const State *source) noexcept nogil:
+    to[0] = source[0]

@@ -1,0 +1,64 @@
+"""Structs laid over arrays of doubles, for the uncompiled kernel; ``memory.pxd`` for the compiled.
+
+An array is C-contiguous and lives longer than what is laid over it; nothing is copied. Those of
+several give something to be indexed.
+"""
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from ekf_companion.core.memory.declare import Dcm, Numbers, Square, Structs, Vector
+from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.scratch import Estimate, Event, OdometryNumbers, TapeRecord
+from ekf_companion.core.memory.state import State
+from ekf_companion.nav.arrays import Array
+
+
+def as_state(block: Array) -> State:
+    """Return a state block, shape (BLOCK,), as a state."""
+    return _over(State, block)
+
+
+def as_states(blocks: Array) -> Any:
+    """Return state blocks, shape (n, BLOCK), as states."""
+    return _over(State, blocks, len(blocks))
+
+
+def as_parameters(numbers: Array) -> Parameters:
+    """Return the filter's numbers, shape (PARAMETERS,), as parameters."""
+    return _over(Parameters, numbers)
+
+
+def as_events(rows: Array) -> Any:
+    """Return rows, shape (n, ROW), as events."""
+    return _over(Event, rows, len(rows))
+
+
+def as_estimate(numbers: Array) -> Estimate:
+    """Return an estimate's numbers, shape (OUT,), as an estimate."""
+    return _over(Estimate, numbers)
+
+
+def as_odometry(numbers: Array) -> OdometryNumbers:
+    """Return ODOMETRY's numbers, shape (ODOMETRY,), as a struct."""
+    return _over(OdometryNumbers, numbers)
+
+
+def as_records(records: Array) -> Any:
+    """Return memory for a tape, shape (n, RECORD), as its records."""
+    kind: Any = TapeRecord
+    return ctypes.cast(records.ctypes.data, ctypes.POINTER(kind))
+
+
+def copy_state(to: Any, source: Any) -> None:
+    """Copy a whole state."""
+    ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), ctypes.sizeof(to))
+
+
+def _over(kind: Any, array: Array, count: int = 0) -> Any:
+    return (kind * count if count else kind).from_buffer(np.asarray(array))
+
+
+__all__ = ["Dcm", "Numbers", "Square", "Structs", "Vector"]

@@ -1,0 +1,84 @@
+"""The numbers that the kernel runs with; ``from_settings`` fills them in.
+
+``setup.py`` makes ``parameters.pxd`` from it.
+"""
+
+from typing import Annotated
+
+from ekf_companion.core.memory.declare import Real, Vector, doubles, struct
+from ekf_companion.core.memory.enums import RUNS
+
+
+@struct
+class Parameters:
+    """The numbers that the filter runs with; ``settings.py`` describes them."""
+
+    gyro_noise: Real
+    accel_noise: Real
+    gyro_bias_walk: Real
+    accel_bias_walk: Real
+    gyro_bias_std: Real
+    accel_bias_std: Real
+    learn_noise: Real
+    mean_samples: Real
+    """Samples are means since the one before; 0: readings at their time."""
+    lever_arm_b: Annotated[Vector, 3]
+    lever_var: Real
+    """Variance of the lever arm, m^2."""
+    gnss_delay: Real
+    """By which fixes are taken to be older than their stamps, s."""
+    delay_std: Real
+    told_delay_std: Real
+    """One sigma of a delay that the autopilot tells, s; negative: that does not count."""
+    unset_delay: Real
+    """What it tells where nobody has set the delay, s; NaN: nothing."""
+    gnss_floor: Annotated[Vector, RUNS]
+    """Least sigma of position, height, velocity."""
+    vel_std_default: Real
+    use_velocity: Real
+    use_derived: Real
+    """Use the autopilot's own position: 0 never, 1 if no receiver ever sent a fix, 2 only that."""
+    gnss_offset_time: Real
+    white_share: Real
+    """NaN: learnt."""
+    timing_std: Real
+    gnss_vel_slow_std: Real
+    """One sigma of the slow error of the receiver's velocity, m/s."""
+    gnss_vel_offset_time: Real
+    """Its time constant, s."""
+    heading: Real
+    """:class:`HeadingChoice`."""
+    mag_std: Real
+    mag_noise: Real
+    iron_std: Real
+    iron_walk: Real
+    heading_floor: Real
+    heading_time: Real
+    field_strength: Real
+    field_dip: Real
+    baro_std: Real
+    baro_walk: Real
+    baro_speed_walk: Real
+    use_baro: Real
+    gate: Annotated[Vector, 3]
+    """Largest NIS to fuse, for 1, 2 and 3 degrees of freedom."""
+    soft_gate: Annotated[Vector, 3]
+    """Largest NIS to fuse with full weight."""
+    timeout_pos: Real
+    timeout_vel: Real
+    timeout_height: Real
+    timeout_heading: Real
+    align_time: Real
+    lag: Real
+    gap: Real
+    gap_reset: Real
+    limit_pos: Real
+    rest_gyro: Real
+    rest_accel: Real
+    use_rest: Real
+    gravity: Real
+    keeps_bias: Real
+    """The biases outlive a reboot of the autopilot in flight."""
+
+
+PARAMETERS = doubles(Parameters)

@@ -1,0 +1,300 @@
+"""The settings of the estimator, and their place in the kernel's parameters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from ekf_companion.core.settings.setting import (
+    Auto,
+    Declination,
+    DelayStd,
+    Gauss,
+    MatrixRow,
+    NotNegative,
+    Param,
+    Positive,
+    Probability,
+    Seconds,
+    Setting,
+    Share,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Habit:
+    """How late, and how sampled, the stamps of an autopilot's family are."""
+
+    gnss_delay: float
+    """A fix is older than its stamp by this, s."""
+    gnss_delay_std: float
+    """One sigma of that, s: the filter estimates the rest."""
+    unset_gnss_delay: float
+    """What the autopilot's parameter says where nobody has set it, s; NaN: nothing."""
+    imu_lag: float
+    """An inertial sample says what was true this long before its stamp, s."""
+    imu_samples: Literal["mean", "instant"]
+    """What a sample is: the mean since the one before, or a reading at its time."""
+    mag_delay: float
+    """A magnetic field is older than its stamp by this, s."""
+    keeps_bias: bool
+    """The biases of what it sends are the sensors' own, and the same after a reboot in flight."""
+
+
+HABITS = {
+    # ArduPilot sends the IMU behind a 20 Hz low-pass of second order, read at the time of sending,
+    # and stamps a fix on its arrival: both measured against its simulator's truth. With receivers
+    # of its earlier years the delay was 0.2 s and more.
+    # Its compass is the mean of what a driver has read in the 0.1 s since the reading before: 0.050
+    # to 0.052 s late in three flights with a truth, 0.04 to 0.06 in a real copter's log.
+    "ardupilot": Habit(
+        gnss_delay=0.085,
+        gnss_delay_std=0.1,
+        unset_gnss_delay=math.nan,
+        imu_lag=0.0115,
+        imu_samples="instant",
+        mag_delay=0.05,
+        keeps_bias=True,
+    ),
+    # PX4 takes its own filter's biases off, which begin anew with it. It sends means and stamps a
+    # fix on arrival: no delay in its simulator, 0.06 to 0.11 s with receivers.
+    "px4": Habit(
+        gnss_delay=0.05,
+        gnss_delay_std=0.06,
+        unset_gnss_delay=0.11,
+        imu_lag=0.002,
+        imu_samples="mean",
+        mag_delay=0.0,
+        keeps_bias=False,
+    ),
+    "unknown": Habit(
+        gnss_delay=0.0,
+        gnss_delay_std=0.1,
+        unset_gnss_delay=math.nan,
+        imu_lag=0.0,
+        imu_samples="mean",
+        mag_delay=0.0,
+        keeps_bias=False,
+    ),
+}
+"""What ``auto`` means, by the autopilot's family."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSettings:
+    """The inertial sensor."""
+
+    gyro_noise: Annotated[
+        Positive,
+        Setting("rad/s/sqrt(Hz)", reload=True, param=Param(8, "EC_GYRO_NSE", 1e-5, 0.1)),
+    ] = 2e-3
+    """White noise of the angular rate: the sensor's own, and what vibration adds. PX4's EKF2 takes
+    0.015 rad/s at 100 Hz, which is 1.5e-3."""
+    accel_noise: Annotated[
+        Positive, Setting("m/s^2/sqrt(Hz)", reload=True, param=Param(9, "EC_ACC_NSE", 1e-4, 5.0))
+    ] = 3e-2
+    """White noise of the specific force, likewise. EKF2: 0.35 m/s^2 at 100 Hz, which is 3.5e-2."""
+    gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of the gyro bias, as EKF2 and EKF3 take it. With learn_noise 0.007 to 9 times its
+    variance counts: less while fixes and samples agree, more while the bias runs one way, as it
+    does while a sensor warms up."""
+    accel_bias_walk: Annotated[NotNegative, Setting("m/s^2/sqrt(s)", reload=True)] = 5e-4
+    """Random walk of the accelerometer bias, likewise."""
+    gyro_bias: Annotated[Positive, Setting("rad/s")] = 0.02
+    """One sigma of the gyro bias at a start in motion; a start at rest measures the bias."""
+    accel_bias: Annotated[Positive, Setting("m/s^2")] = 0.2
+    """One sigma of the accelerometer bias at the start: 0.02 g, a MEMS sensor over temperature.
+    Raise it where nobody has calibrated."""
+    learn_noise: Annotated[bool, Setting(reload=True)] = True
+    """Take both white noises from the differences between samples; the numbers above then count as
+    far as the fixes show that the samples are worse than that. How fast biases and the compass's
+    error change, and the magnetometer's noise, are learnt from how they are corrected. false: only
+    what is configured counts."""
+    lag: Annotated[Seconds | Auto, Setting("s", auto="imu_lag")] = "auto"
+    """An inertial sample says what was true this long before its stamp. ArduPilot's was measured
+    with INS_GYRO_FILTER and INS_ACCEL_FILTER at 20 Hz; with 60 Hz give 0.006."""
+    samples: Annotated[Literal["auto", "mean", "instant"], Setting(auto="imu_samples")] = "auto"
+    """What a sample is: the mean since the one before it, or a reading at its time."""
+    gap: Annotated[Positive, Setting("s")] = 0.2
+    """Longest silence to bridge as if nothing had been missed. Raise it on a radio."""
+    gap_reset: Annotated[Positive, Setting("s")] = 1.0
+    """Silence after which position, velocity and attitude begin anew with the next fixes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GnssSettings:
+    """The satellite receiver."""
+
+    source: Annotated[Literal["auto", "raw", "global"], Setting(reload=True)] = "auto"
+    """raw: GPS_RAW_INT. global: GLOBAL_POSITION_INT, the autopilot's own estimate, which is no
+    independent measurement: the status is degraded at best. auto: the second only for an autopilot
+    that never sends a fix of its receiver."""
+    delay: Annotated[
+        Seconds | Auto, Setting("s", auto="gnss_delay", param=Param(3, "EC_GPS_DELAY", -1.0, 1.0))
+    ] = "auto"
+    """A fix is older than its stamp by this; the filter estimates the rest. auto begins with what
+    the log or the autopilot says, which is asked for it: SENS_GPS0_DELAY or EKF2_GPS_DELAY (PX4),
+    GPS1_DELAY_MS (ArduPilot), ms. `ekf-companion calibrate delay LOG` measures it."""
+    delay_std: Annotated[DelayStd | Auto, Setting("s", auto="gnss_delay_std")] = "auto"
+    """One sigma of the delay: how far the filter may move it. 0: the delay is known. auto is 0.02
+    where log or autopilot say a delay that somebody has set, not PX4's default."""
+    timing_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.02
+    """One sigma of the error in time that the stamp of a fix, and the receiver's own filter, leave.
+    It counts in manoeuvres: times the acceleration in the velocity, times the velocity in the
+    position."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """The antenna from the inertial sensor: forward, right, down. Measure it to a few centimetres:
+    in a turn of 2 rad/s, 0.3 m of it are 0.6 m/s."""
+    lever_arm_std: Annotated[NotNegative, Setting("m", reload=True)] = 0.2
+    """One sigma of the lever arm per axis. Lower it to 0.02 when it has been measured."""
+    use_velocity: Annotated[bool, Setting(reload=True, param=Param(4, "EC_GPS_VEL_USE"))] = True
+    """Use the receiver's velocity beside its position. false only where that velocity is wrong."""
+    white_share: Annotated[Share | Auto, Setting(reload=True)] = "auto"
+    """Share of the position's variance, as the receiver states it, that is white noise; the rest is
+    an error that changes slowly. auto: learnt from the fixes."""
+    slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
+    """Time constant of that slow error."""
+    position_std: Annotated[
+        NotNegative, Setting("m", reload=True, param=Param(5, "EC_GPS_POS_NSE", 0.005, 50.0))
+    ] = 0.1
+    """Least one sigma of the white noise of a horizontal axis, whatever the receiver claims. Raise
+    it among houses and trees; lower it to 0.02 for RTK."""
+    height_std: Annotated[
+        NotNegative, Setting("m", reload=True, param=Param(6, "EC_GPS_HGT_NSE", 0.01, 50.0))
+    ] = 0.2
+    """Least one sigma of the white noise of the height, likewise; 0.04 for RTK."""
+    velocity_std: Annotated[
+        NotNegative, Setting("m/s", reload=True, param=Param(7, "EC_GPS_VEL_NSE", 0.005, 10.0))
+    ] = 0.05
+    """Least one sigma of the velocity per axis."""
+    velocity_slow_std: Annotated[NotNegative, Setting("m/s", reload=True)] = 0.03
+    """One sigma of the slow error of the velocity per axis, of a receiver whose white noise is
+    0.1 m/s or less; of a noisier one it is larger in proportion. 0: there is none."""
+    velocity_slow_time: Annotated[Positive, Setting("s", reload=True)] = 20.0
+    """Time constant of the slow error of the velocity."""
+    velocity_std_unknown: Annotated[Positive, Setting("m/s", reload=True)] = 0.3
+    """One sigma of the velocity per axis where the receiver gives none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadingSettings:
+    """The sources of heading."""
+
+    source: Annotated[
+        Literal["auto", "gnss", "magnetometer", "autopilot"],
+        Setting(reload=True, param=Param(10, "EC_HDG_SRC")),
+    ] = "auto"
+    """gnss: two antennas. autopilot: its own yaw, where the compass is poor and the autopilot has a
+    better source. auto: the best of the three that speaks."""
+    declination: Annotated[Declination | Auto, Setting("rad, east positive")] = "auto"
+    """Declination of the magnetic field. auto: World Magnetic Model at the place."""
+    year: Annotated[float, Meta(ge=2025.0, le=2030.0), Setting("decimal year")] = 2026.0
+    """Date for the World Magnetic Model. A year off is 0.003 rad at most places."""
+    hard_iron: Annotated[tuple[Gauss, Gauss, Gauss], Setting("gauss")] = (0.0, 0.0, 0.0)
+    """What the vehicle itself adds to the field: forward, right, down. It is subtracted from what
+    the magnetometer says. `ekf-companion calibrate mag LOG` measures it."""
+    soft_iron: tuple[MatrixRow, MatrixRow, MatrixRow] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
+    """Matrix, by rows, that turns the rest into the Earth's field; measured likewise."""
+    magnetometer_std: Annotated[
+        Positive, Setting("rad", reload=True, param=Param(11, "EC_MAG_NSE", 1e-3, 1.0))
+    ] = 0.02
+    """One sigma of the slow error of a compass heading beside hard iron: of the declination, the
+    scale, the mounting. Where GNSS shows in motion that it is smaller, half of this counts."""
+    hard_iron_std: Annotated[Positive, Setting("gauss")] = 0.01
+    """One sigma per axis of the vehicle's own field that calibration leaves. Raise it where motor
+    currents turn the compass. The filter finds it as soon as the vehicle turns."""
+    hard_iron_walk: Annotated[NotNegative, Setting("gauss/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of that field: the currents."""
+    magnetometer_delay: Annotated[Seconds | Auto, Setting("s", auto="mag_delay")] = "auto"
+    """A magnetic field is older than its stamp by this."""
+    magnetometer_noise: Annotated[NotNegative, Setting("gauss", reload=True)] = 0.01
+    """White noise of the field: weighs more where the horizontal field is weak, near the poles.
+    With imu.learn_noise it is learnt, from a twentieth of this variance on."""
+    field_strength: Annotated[Positive, Setting(reload=True)] = 0.25
+    """Largest difference of the field's strength from the World Magnetic Model's, as a share of it.
+    Beyond, the magnetometer is disturbed or not calibrated, and no heading is taken from it."""
+    field_dip: Annotated[Positive, Setting("rad", reload=True)] = 0.26
+    """Largest difference of the field's dip from the model's, likewise."""
+    heading_std: Annotated[NotNegative, Setting("rad", reload=True)] = 0.02
+    """Least one sigma of a heading from GNSS or the autopilot."""
+    slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
+    """Time constant of the slow error of a compass or of the autopilot's heading: until GNSS has
+    shown it in motion, yaw is no surer than that error. With imu.learn_noise an error that is seen
+    to change less lasts up to a hundred times as long."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaroSettings:
+    """The barometer: its height less the estimated one is an offset that walks."""
+
+    use: Annotated[bool, Setting(reload=True, param=Param(12, "EC_BARO_USE"))] = True
+    """Use the barometer. false in a vehicle whose static pressure jumps, with an open cockpit or
+    strong downwash."""
+    std: Annotated[
+        Positive, Setting("m", reload=True, param=Param(13, "EC_BARO_NSE", 0.01, 50.0))
+    ] = 0.5
+    """White noise of the pressure altitude."""
+    walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.05
+    """Random walk of the offset: weather, wind, temperature."""
+    speed_walk: Annotated[NotNegative, Setting("m/sqrt(s) per m/s", reload=True)] = 0.01
+    """Random walk of the offset for each m/s of speed: the air's pressure on the hull. With
+    imu.learn_noise less counts where the speed changes and the offset does not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignSettings:
+    """The start, which finds down and north before anything is estimated, and standing still."""
+
+    time: Annotated[float, Meta(ge=0.2, le=30.0), Setting("s")] = 1.0
+    """Length of rest, or least of motion with fixes, to find down from."""
+    rest_gyro: Annotated[Positive, Setting("rad/s", reload=True)] = 0.05
+    """Largest spread of the rate at rest, all axes together. Raise it on a ship."""
+    rest_accel: Annotated[Positive, Setting("m/s^2", reload=True)] = 0.6
+    """Largest spread of the specific force at rest, all axes together, likewise."""
+    use_rest: Annotated[bool, Setting(reload=True)] = True
+    """Fuse zero velocity while the vehicle stands still, when the gyro shows its bias. Never while
+    the autopilot says that it flies. false on a ship."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateSettings:
+    """Which measurements to refuse, and for how long."""
+
+    probability: Annotated[
+        Probability, Setting(reload=True, param=Param(14, "EC_GATE", 1.0, 6.0, is_sigma=True))
+    ] = 0.999999
+    """Share of good measurements that a gate lets through. Lower it (0.999) to refuse more."""
+    soft_probability: Annotated[Probability, Setting(reload=True)] = 0.99
+    """Share of good measurements that count in full; beyond, the further out the less."""
+    timeout_position: Annotated[Positive, Setting("s", reload=True)] = 7.0
+    """After this time without an accepted position, the next one resets the estimated position."""
+    timeout_velocity: Annotated[Positive, Setting("s", reload=True)] = 7.0
+    """The same for the velocity."""
+    timeout_height: Annotated[Positive, Setting("s", reload=True)] = 5.0
+    """The same for the height."""
+    timeout_heading: Annotated[Positive, Setting("s", reload=True)] = 10.0
+    """The same for the heading."""
+    limit_position: Annotated[Positive, Setting("m", reload=True)] = 100.0
+    """One sigma of the horizontal position beyond which the estimate is invalid and not sent."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterSettings:
+    """The settings of the estimator."""
+
+    imu: ImuSettings = field(default_factory=ImuSettings)
+    gnss: GnssSettings = field(default_factory=GnssSettings)
+    heading: HeadingSettings = field(default_factory=HeadingSettings)
+    baro: BaroSettings = field(default_factory=BaroSettings)
+    align: AlignSettings = field(default_factory=AlignSettings)
+    gate: GateSettings = field(default_factory=GateSettings)
+    window: Annotated[float, Meta(ge=0.1, le=10.0), Setting("s")] = 2.0
+    """How late a measurement may come and still take its place in time. Longer takes memory and,
+    where measurements are that late, time."""
