@@ -59,7 +59,7 @@ def a_state(seed: int) -> State:
     x.gyro[:] = rng.normal(0.0, 1.0, 3)
     x.accel_n[:] = rng.normal(0.0, 3.0, 3)
     x.gnss_vel_offset[:] = rng.normal(0.0, 0.1, 3)
-    load().propagate.set_origin(x, 0.82, 0.15, 480.0)
+    load().strapdown.set_origin(x, 0.82, 0.15, 480.0)
     return x
 
 

@@ -18,18 +18,18 @@ SECONDS = 120
 
 def learnt(errors: np.ndarray) -> float:
     """Return the share of the stated variance that azimuths with these errors (rad) have."""
-    x, heading = State(), load().heading
+    x, magnetic_field = State(), load().magnetic_field
     yaw = E_ATT + 2
     x.P[yaw][yaw] = np.radians(0.2) ** 2
     x.P[E_HEADING][E_HEADING] = np.radians(0.5) ** 2
-    heading.forget_field_noise(x)
+    magnetic_field.forget_noise(x)
     for n, error in enumerate(errors):
         o = Observation()
-        load().observe.clear(o, 1, STATED**2)
+        load().observation.clear(o, 1, STATED**2)
         o.z[0] = error
         o.H[0][yaw] = o.H[0][E_HEADING] = 1.0
         x.t = n * 1e9 / RATE
-        heading.innovate_field(x, o)
+        magnetic_field.innovate_azimuth(x, o)
         assert o.R[0][0] > 0.0
         assert np.isfinite([o.PHt[0][j] for j in range(N)]).all()
     return x.field_noise.share
@@ -54,14 +54,14 @@ def test_errors_that_last_a_second_count_as_more_noise():
 
 
 def test_a_pause_begins_anew():
-    x, heading = State(), load().heading
-    heading.forget_field_noise(x)
+    x, magnetic_field = State(), load().magnetic_field
+    magnetic_field.forget_noise(x)
     for n in range(40):
         o = Observation()
-        load().observe.clear(o, 1, STATED**2)
+        load().observation.clear(o, 1, STATED**2)
         o.H[0][E_ATT + 2] = 1.0
         # the azimuths before and after the pause have nothing to do with each other
         o.z[0] = 0.0 if n < 20 else 1.0
         x.t = n * 1e8 + (0.0 if n < 20 else 5e9)
-        heading.innovate_field(x, o)
+        magnetic_field.innovate_azimuth(x, o)
     assert x.field_noise.share <= 1.0

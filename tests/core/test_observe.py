@@ -22,13 +22,13 @@ def a_fix(vel_down: float = 3.0) -> Fix:
 
 
 MODELS = {
-    "position": lambda m, x, k, o: m.position(x, k, a_fix(), o),
-    "height": lambda m, x, k, o: m.height(x, k, a_fix(), o),
-    "velocity 2-D": lambda m, x, k, o: m.velocity(x, k, a_fix(np.nan), o),
-    "velocity 3-D": lambda m, x, k, o: m.velocity(x, k, a_fix(), o),
-    "zero velocity": lambda m, x, k, o: m.zero_velocity(x, o, 0.1),
-    "zero rate": lambda m, x, k, o: m.zero_rate(x, o, RATE, 0.1, 0.3),
-    "pressure": lambda m, x, k, o: m.pressure_altitude(x, o, 500.0, 1.0),
+    "position": lambda m, x, k, o: m.gnss.position(x, k, a_fix(), o),
+    "height": lambda m, x, k, o: m.gnss.height(x, k, a_fix(), o),
+    "velocity 2-D": lambda m, x, k, o: m.gnss.velocity(x, k, a_fix(np.nan), o),
+    "velocity 3-D": lambda m, x, k, o: m.gnss.velocity(x, k, a_fix(), o),
+    "zero velocity": lambda m, x, k, o: m.rest.zero_velocity(x, o, 0.1),
+    "zero rate": lambda m, x, k, o: m.rest.zero_rate(x, o, RATE, 0.1, 0.3),
+    "pressure": lambda m, x, k, o: m.baro.observe(x, k, o, 500.0),
 }
 
 
@@ -41,7 +41,7 @@ def test_jacobian_of_an_azimuth_is_its_slope_where_it_should_point(has_iron, see
     azimuth = np.arctan2(field[1], field[0]) + x.heading_offset
     reference = Reference(std=0.1, has_iron=has_iron, azimuth=azimuth)
     reference.direction_b[:] = b
-    check(lambda m, x, k, o: m.azimuth(x, o, reference), x, 1e-5)
+    check(lambda m, x, k, o: m.heading.azimuth(x, o, reference), x, 1e-5)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -56,11 +56,11 @@ def test_slopes_of_an_azimuth_are_those_of_the_field_without_its_noise(seed):
     for noise in np.random.default_rng(seed).normal(0.0, [[0.0], [0.02]], (2, 3)):
         o, reference = Observation(), Reference(std=0.1, has_iron=True, azimuth=azimuth)
         reference.direction_b[:] = b + noise
-        load().observe.azimuth(x, o, reference)
+        load().heading.azimuth(x, o, reference)
         slopes.append([*np.array(o.H)[0], np.array(o.R)[0][0]])
     np.testing.assert_allclose(slopes[1], slopes[0], rtol=1e-9, atol=1e-12)
     reference.direction_b[:] = b
-    check(lambda m, x, k, o: m.azimuth(x, o, reference), x, 1e-5)
+    check(lambda m, x, k, o: m.heading.azimuth(x, o, reference), x, 1e-5)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -74,7 +74,7 @@ def test_jacobian_is_the_slope_of_the_prediction(name, seed):
 
 
 def check(observe, x: State, tolerance: float) -> None:
-    k, o, model = some_parameters(), Observation(), load().observe
+    k, o, model = some_parameters(), Observation(), load()
     observe(model, x, k, o)
     rows = o.rows
     H = np.array(o.H)[:rows]
@@ -96,4 +96,4 @@ def test_a_vertical_direction_gives_no_azimuth():
     x, reference = State(), Reference(std=0.1)
     x.q_nb[0] = 1.0
     reference.direction_b[:] = [0.05, 0.0, 1.0]
-    assert not load().observe.azimuth(x, Observation(), reference)
+    assert not load().heading.azimuth(x, Observation(), reference)

@@ -104,7 +104,7 @@ class Batch:
 def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
     core, rng = load(), np.random.default_rng(11)
     k, numbers = some_parameters(), np.zeros(PARAMETERS)
-    k.gyro_noise, k.accel_noise, k.baro_walk = 0.2 * TINY, 2 * TINY, TINY
+    k.gyro_noise, k.accel_noise, k.baro_walk, k.baro_std = 0.2 * TINY, 2 * TINY, TINY, TINY
     k.gyro_bias_walk, k.accel_bias_walk = 0.1 * TINY, 0.5 * TINY
     numbers[:] = np.frombuffer(k)
     smoothing = core.rts.Smoother(numbers)
@@ -135,22 +135,23 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
     for step in range(1, 31):
         before = np.array(x.P)
         w.motion.rate[:], w.motion.force[:] = [0.1, -0.2, 0.1], [1.5, -2.0, -9.0]
-        core.propagate.integrate_strapdown(x, k, w.motion, 0.1)
-        core.propagate.propagate_covariance(x, k, w.motion)
+        core.strapdown.integrate_strapdown(x, k, w.motion, 0.1)
+        core.process_noise.scale_noise(x, k, w.motion)
+        core.covariance.propagate_covariance(x, k, w.motion)
         core.tape.record_motion(x, k, w, 0.1)
         Phi = np.array(w.tape.record[w.tape.length - 1].Phi)
         batch.move(Phi, np.array(x.P) - Phi @ before @ Phi.T)
         if step % 3 == 0:
             fix.lat = x.origin.lat + x.pos_n[0] / x.origin.scale_n
             fix.lon = x.origin.lon + x.pos_n[1] / x.origin.scale_e
-            core.observe.position(x, k, fix, o)
+            core.gnss.position(x, k, fix, o)
             update()
         if step % 4 == 0:
             fix.vel_n[:] = x.vel_n
-            core.observe.velocity(x, k, fix, o)
+            core.gnss.velocity(x, k, fix, o)
             update()
         if step % 5 == 0:
-            core.observe.pressure_altitude(x, o, 0.0, TINY)
+            core.baro.observe(x, k, o, 0.0)
             update()
             core.tape.record_event(x, w)
         if step == 12:  # a gap
@@ -162,7 +163,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
             batch.move(np.eye(N), np.diag(extra))
         if step == 20:  # a position set anew, after an update of other states in the same event
             array(x.pos_n)[:2] += 0.7
-            core.update.reset_variance(x, E_POS, 2, TINY**2)
+            core.slow_error.reset_variance(x, E_POS, 2, TINY**2)
             core.tape.record_event(x, w)
             keep = np.ones(N)
             keep[E_POS : E_POS + 2] = 0.0
@@ -271,10 +272,10 @@ def test_records_say_what_follows_from_what():
     x.mode = Mode.ATTITUDE
     core.tape.record_sample(x, w)  # the first
     core.tape.record_event(x, w)
-    core.update.reset_variance(x, E_VEL, 3, 1.0)
+    core.slow_error.reset_variance(x, E_VEL, 3, 1.0)
     core.tape.record_event(x, w)
-    core.update.reset_variance(x, E_BG, 1, 1.0)
-    core.update.reset_variance(x, E_ATT + 2, 1, 1.0)
+    core.slow_error.reset_variance(x, E_BG, 1, 1.0)
+    core.slow_error.reset_variance(x, E_ATT + 2, 1, 1.0)
     core.tape.record_sample(x, w)
     core.tape.record_sample(x, w)
     x.mode = Mode.LEVEL

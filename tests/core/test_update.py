@@ -144,7 +144,7 @@ def test_a_nominal_state_is_copied_whole_and_nothing_else_is():
 
 def test_a_reset_variance_leaves_no_correlation():
     x, *_ = a_problem(5, 1)
-    load().update.reset_variance(x, E_VEL, 3, 4.0)
+    load().slow_error.reset_variance(x, E_VEL, 3, 4.0)
     P = array(x.P)
     assert np.array_equal(P[E_VEL : E_VEL + 3, E_VEL : E_VEL + 3], 4.0 * np.eye(3))
     assert not P[E_VEL, :E_VEL].any()

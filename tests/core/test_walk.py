@@ -49,9 +49,11 @@ def follow_gyro(
     errors = []
     for n in range(seconds):
         bias = true(n)
+        variance = WALK**2 * (x.walk.drift if learns else 1.0)
+        walk.note_gyro_walk(x, variance)
         for j in range(3):
             place = E_BG + j
-            walk.add_gyro_walk(x, j, WALK**2 * (x.walk.drift if learns else 1.0))
+            x.P[place][place] += variance
             innovation = bias[j] + GYRO_NOISE * rng.standard_normal() - x.gyro_bias[j]
             change, x.P[place][place] = corrected(x.P[place][place], GYRO_NOISE**2, innovation)
             x.gyro_bias[j] += change
@@ -118,8 +120,9 @@ def test_a_stretch_without_corrections_teaches_nothing():
     for _ in range(100):
         x.P[e][e] = 0.99**2 * x.P[e][e] + (1.0 - 0.99**2) * LEVEL**2
         walk.note_fading(x, 0.01, LEVEL**2)
+        walk.note_gyro_walk(x, WALK**2)
         for j in range(3):
-            walk.add_gyro_walk(x, j, WALK**2)
+            x.P[E_BG + j][E_BG + j] += WALK**2
         walk.learn_walk(x, 1.0)
     assert (x.walk.drift, x.walk.heading_share) == (1.0, 1.0)
 
@@ -135,7 +138,9 @@ def follow_baro(
     largest = 0.0
     for n in range(seconds):
         speed2 = speed(n) ** 2
-        walk.add_baro_walk(x, WEATHER**2, x.walk.speed_share * AIR**2 * speed2, speed2)
+        by_speed = x.walk.speed_share * AIR**2 * speed2
+        x.P[E_BARO][E_BARO] += WEATHER**2 + by_speed
+        walk.note_baro_walk(x, WEATHER**2, by_speed, speed2)
         innovation = true(n) + HEIGHT_NOISE * rng.standard_normal() - x.baro_offset
         variance = x.P[E_BARO][E_BARO]
         change, x.P[E_BARO][E_BARO] = corrected(variance, HEIGHT_NOISE**2, innovation)
@@ -175,8 +180,9 @@ def test_an_offset_that_follows_the_speed_stays_within_its_sigma(seed):
 
 def test_a_barometer_that_begins_anew_teaches_nothing():
     x, walk = begun(), load().walk
-    walk.add_baro_walk(x, WEATHER**2, AIR**2, 0.0)
-    walk.add_baro_walk(x, WEATHER**2, AIR**2, 1.0)
+    x.P[E_BARO][E_BARO] += WEATHER**2 + AIR**2
+    walk.note_baro_walk(x, WEATHER**2, AIR**2, 0.0)
+    walk.note_baro_walk(x, WEATHER**2, AIR**2, 1.0)
     x.baro_offset, x.redrawn[E_BARO] = 30.0, 1.0
     walk.learn_walk(x, 5.0)
     assert x.walk.speed_share == 1.0

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import lever_arm, observe
+from cython.cimports.ekf_companion.core.aids import lever_arm
+from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.past import acceleration_noise, look_back, unevenness
-from cython.cimports.ekf_companion.core.filter.propagate import propagate_covariance
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
+from cython.cimports.ekf_companion.core.filter.slow_error import scale_correlation, set_variance
 from cython.cimports.ekf_companion.core.filter.update import apply_delay_update, innovate
-from cython.cimports.ekf_companion.core.memory.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY, N
+from cython.cimports.ekf_companion.core.memory.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -59,7 +60,7 @@ def keep_fix(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     end = address(x.gain.end)
     if x.P[E_DELAY][E_DELAY] == 0.0 or end.t > NEVER or x.t - x.gain.begin.t < SHORTEST:
         return
-    observe.write_lever_arm(x, k, o)
+    lever_arm.write_lever_arm(x, k, o)
     end.t = x.t
     for i in range(2):
         end.vel_n[i] = fix.vel_n[i] - o.arm_vel_n[i]
@@ -69,13 +70,22 @@ def keep_fix(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
         x.gain.var = 2.0 * fix.stated_var[AID_VELOCITY]
 
 
-def learn_delay(x: State, k: Parameters, w: Scratch) -> None:
-    """Learn the delay by the fix that is kept and the one some time before, once it is time."""
+def is_due(x: State) -> bool:
+    """Return whether a fix is kept, and the samples have come that say what happened meanwhile."""
+    if x.gain.end.t == NEVER:
+        return False
+    return lateness(x) >= AHEAD or x.t - x.gain.end.t >= LONGEST_WAIT
+
+
+def lateness(x: State) -> float:
+    """Return how long ago the fix that is kept was true, s."""
+    return (x.t - x.gain.end.t) * 1e-9 + x.gnss_delay
+
+
+def learn(x: State, k: Parameters, w: Scratch) -> None:
+    """Learn the delay by the fix that is kept and the one some time before."""
     end = address(x.gain.end)
-    late = (x.t - end.t) * 1e-9 + x.gnss_delay
-    if end.t == NEVER or (late < AHEAD and x.t - end.t < LONGEST_WAIT):
-        return
-    propagate_covariance(x, k, address(w.motion))
+    late = lateness(x)
     o = address(w.observation)
     look_back(x, late, address(o.then))
     end.delay = x.gnss_delay
@@ -105,7 +115,7 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
     for i in range(2):
         change = gain.end.accel_n[i] - begin.accel_n[i]
         uneven = 2.0 * o.uneven[i]  # at the begin as well
-        observe.clear(o, 1, noise + uneven)
+        clear(o, 1, noise + uneven)
         o.H[0][E_DELAY] = -change * true
         # attitude and bias turn and move the gain of the samples: in a steady circle as a delay
         o.H[0][E_ATT + 1 - i] = k.gravity * span * (2.0 * i - 1.0)
@@ -157,7 +167,7 @@ def weigh_anew(x: State, k: Parameters) -> None:
     if x.P[E_DELAY][E_DELAY] < variance:
         share = (prior - variance) / (prior - x.P[E_DELAY][E_DELAY])
         x.gnss_delay = x.first_delay + share * (x.gnss_delay - x.first_delay)
-        x.P[E_DELAY][E_DELAY] = variance
+        set_variance(x, E_DELAY, variance)
 
 
 def first_variance(x: State, k: Parameters) -> float:
@@ -178,10 +188,8 @@ def take_told(x: State, k: Parameters, told: float) -> None:
         variance = 1.0 / (1.0 / before - 1.0 / was + 1.0 / now)
         change = first / now - x.first_delay / was
         x.gnss_delay = variance * (x.gnss_delay / before + change)
-        for i in range(N):
-            x.P[E_DELAY][i] *= variance / before if variance < before else 1.0
-            x.P[i][E_DELAY] = x.P[E_DELAY][i]
-        x.P[E_DELAY][E_DELAY] = variance
+        scale_correlation(x, E_DELAY, variance / before if variance < before else 1.0)
+        set_variance(x, E_DELAY, variance)
     else:
         x.gnss_delay = first
     x.first_delay = first

@@ -1,545 +1,105 @@
-"""GNSS: start navigation at a fix, correct by fixes, or test refused ones for consistency.
+"""GNSS: what a receiver should read at its antenna: position, height, velocity.
 
-A receiver states metres and differs from fix to fix by centimetres: most of its error is slow. So
-the stated variance is shared between white noise and three Gauss-Markov states, in a share that is
-learnt from the innovations. The position that is estimated is that without the slow error.
+Source: Groves 2013, chapter 14.3 (lever arm).
 """
 
 from __future__ import annotations
 
-import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import delay, observe, rest
-from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
+from cython.cimports.ekf_companion.core.aids import lever_arm
+from cython.cimports.ekf_companion.core.filter.observation import add_timing_noise, clear
+from cython.cimports.ekf_companion.core.filter.past import look_back, unevenness
+from cython.cimports.ekf_companion.core.filter.rotation import wrap
 from cython.cimports.ekf_companion.core.memory.enums import (
-    AID_HEIGHT,
-    AID_POSITION,
-    AID_VELOCITY,
+    E_ATT,
+    E_BG,
+    E_DELAY,
     E_GNSS,
+    E_GNSS_VEL,
     E_POS,
     E_VEL,
-    MODE_LEVEL,
-    MODE_NAVIGATE,
-    RESET_HEIGHT,
-    RESET_MOTION,
-    RESET_POSITION,
-    RESET_VELOCITY,
-    VERDICT_BEFORE_ALIGNMENT,
-    VERDICT_SUPERSEDED,
-    VERDICT_SUSPECT,
-    VOICE_HEIGHT,
-    VOICE_VELOCITY,
-    N,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
-from cython.cimports.ekf_companion.core.memory.scratch import Fix, GnssRow, Observation, Scratch
+from cython.cimports.ekf_companion.core.memory.scratch import Fix, Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.order import receiver
-from cython.cimports.ekf_companion.core.start import align, yaw_bank, yaw_reset
-from cython.cimports.ekf_companion.core.start.navigation import (
-    forget_vel_offset,
-    reset_height,
-    reset_position,
-    reset_unknown_velocity,
-    reset_velocity,
-    resume_after_gap,
-    start_from_yaw_bank,
-    start_navigation,
-)
-from cython.cimports.ekf_companion.core.trust import doubt, force, gate, slide, voices
-from cython.cimports.libc.math import isnan, sqrt
-
-NAN = cython.declare(cython.double, float("nan"))
-NEVER = cython.declare(cython.double, -1e18)
-SILENT_COMPASS = cython.declare(cython.double, 4e9)
-"""Silence that a compass is given at the first fix, ns: a second less than what lets another
-estimate's heading be used."""
-WHITE_MEMORY = cython.declare(cython.double, 100.0)
-"""Fixes over which a receiver's white noise is learnt."""
-NEXT = cython.declare(cython.double, 3e9)
-"""Longest time between innovations that are compared, ns."""
-FIRST_MEMORY = cython.declare(cython.double, 25.0)
-"""Weight of the initial share, in fixes."""
-FIRST_VELOCITY_MEMORY = cython.declare(cython.double, 15.0)
-"""The same of a velocity beside good samples: it has three axes to be learnt from, and hardly a
-slow error."""
-PROVEN_DOUBT = cython.declare(cython.double, 0.03)
-"""Doubt below which samples are good."""
-LEAST_SHARE = cython.declare(cython.double, 0.01)
-"""Least white share: receivers overstate their white error at most ten times."""
-LEAST_LEVEL = cython.declare(cython.double, 1e-6)
-"""Least variance of a slow error, m^2."""
-GOOD_VELOCITY = cython.declare(cython.double, 0.1)
-"""White noise of a velocity above which its slow error is larger in proportion, m/s."""
-MEAN_TIME = cython.declare(cython.double, 3.0)
-"""Time constant of the mean of the innovations, s."""
-LARGEST_TERM = cython.declare(cython.double, 4.0)
-"""Largest contribution of one fix to that mean, sigmas."""
-LARGEST_MEAN = cython.declare(cython.double, 1.5)
-"""Mean of the innovations beyond which the receiver is refused, sigmas of one innovation."""
-MEAN_SIGMAS = cython.declare(cython.double, 5.5)
-"""The same in sigmas of the mean itself; both must be exceeded."""
-SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
-"""Way in sigmas of a fix that would have shown in the positions."""
-REPEATS = cython.declare(cython.double, 2.0)
-"""Repeats of one position after which a moving receiver counts as frozen."""
-JERK = cython.declare(cython.double, 0.25)
-"""Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
-FROZEN = cython.declare(cython.double, 1e9)
-"""Repeats that stand for a receiver that was found to be frozen."""
-DERIVED = cython.declare(cython.int, 1)
-SUSPECT = cython.declare(cython.int, 2)
-DOUBTED_NIS = cython.declare(cython.double, 0.02)
-"""NIS that a doubt of one is worth where the heading is judged."""
-FAR_WORSE = cython.declare(cython.double, 18.0)
-"""Square of a velocity's innovation over the variance that the yaw bank meets."""
-FEW_SIGMAS = cython.declare(cython.double, 10.0)
-"""A position off by less than so many sigmas of ours may have become so by itself."""
-OWN_DRIFT = cython.declare(cython.double, 0.5)
-"""Drift of our position that is possible while the velocity is fused and agrees, m/s."""
-LARGEST_DRIFT = cython.declare(cython.double, (OWN_DRIFT / 3.0) ** 2)
-"""Variance of which that is three sigma, m^2/s^2."""
-LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
-"""Longest time for which a position that drift cannot explain is refused, s."""
-SHORTEST_RUN = cython.declare(cython.double, 3.0)
-"""Least duration of a run of refused fixes that proves them, s."""
-SAME_CAUSE = cython.declare(cython.double, 2.0)
-"""A height refused for this time when the position is reset is reset too, s."""
+from cython.cimports.libc.math import isnan
 
 
-def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
-    """Fuse a fix. Return False if it was refused for so long that the filter must start over."""
-    fix = address(w.fix)
-    flags = cython.declare(cython.int, cython.cast(cython.int, values.flags))
-    has_vel = cython.declare(cython.bint, k.use_velocity != 0.0 and not isnan(values.vel_n[0]))
-    is_first = cython.declare(cython.bint, not flags & DERIVED and x.raw_fix_t <= NEVER)
-
-    # Which source, and is it usable
-    if not is_used(x, k, flags):
-        return True
-    if not flags & DERIVED and not receiver.is_used(x, k, w, values):
-        gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
-        return True
-    if is_frozen(x, values):
-        gate.count_verdict(x, AID_POSITION, VERDICT_SUSPECT)
-        return True
-    learn_field(x, values)
-    read_fix(x, k, fix, values)
-    if x.origin.is_known != 0.0:
-        force.compare(x, fix)
-        slide.compare_fixes(x, fix)
-    voices.compare_climbs(x, fix)
-    if x.voices.loser == VOICE_VELOCITY:
-        fix.vel_n[2] = NAN
-    if x.fix_t > NEVER and x.t > x.fix_t:
-        x.fix_dt = (x.t - x.fix_t) * 1e-9
-    x.fix_t = x.t
-
-    rest.add_velocity(x, fix)
-
-    # The yaw bank uses every velocity; without another heading it starts the filter
-    if has_vel:
-        w.yaw.vel_n[0] = fix.vel_n[0]
-        w.yaw.vel_n[1] = fix.vel_n[1]
-        yaw_bank.fuse_velocity(x, k, address(w.yaw), sqrt(fix.stated_var[2]))
-    if x.mode < MODE_NAVIGATE and x.has_yaw == 0.0 and yaw_reset.is_ready(x):
-        start_from_yaw_bank(x, k, w)
-        return True
-
-    # Before navigation a fix helps to level, or starts it
-    if x.mode < MODE_NAVIGATE:
-        if has_vel and align.level_in_motion(x, k, w) if x.mode == MODE_LEVEL else x.has_yaw != 0.0:
-            start_navigation(x, k, w, has_vel)
-        else:
-            gate.count_verdict(x, AID_POSITION, VERDICT_BEFORE_ALIGNMENT)
-        return True
-    if x.needs_reset != 0.0:
-        resume_after_gap(x, k, w, has_vel)
-        return True
-    if is_first and receiver.replace_derived(x, k, w, has_vel):
-        return True
-    return correct_by_fix(x, k, w, has_vel)
+def way(x: State, o: Observation, axis: int) -> float:
+    """Return the way of the antenna since the fix was true, m."""
+    return x.gnss_delay * (x.vel_n[axis] - 0.5 * o.then.since[axis] + o.arm_vel_n[axis])
 
 
-def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
-    """Correct velocity, position and height. Return False if the filter must start over."""
-    fix = address(w.fix)
-    o = address(w.observation)
-    # What is slow of their error is no larger than what has been learnt
-    bound_offset(x, o, 0, x.gnss_offset_var[0])
-    bound_offset(x, o, 1, x.gnss_offset_var[0])
-    bound_offset(x, o, 2, x.gnss_offset_var[1])
-
-    # Velocity first: it is more precise, and shows whether the heading is wrong
-    if has_vel:
-        delay.keep_fix(x, k, fix, o)
-        if not fuse_velocity(x, k, w):
-            return False
-        rows = 2 if isnan(fix.vel_n[2]) else 3
-        nis = x.ratio[AID_VELOCITY] * k.gate[rows - 1] / rows
-        z = o.z[0] * o.z[0] + o.z[1] * o.z[1]
-        if nis < DOUBTED_NIS * x.doubt and z > FAR_WORSE * x.yaw_bank.vel_var:
-            # much doubt is a contradiction, however small its NIS, where the bank has none
-            nis = DOUBTED_NIS * x.doubt
-        if x.is_denied[AID_VELOCITY] != 0.0:
-            nis = NAN
-        if yaw_reset.is_needed(x, nis, x.fix_dt, sqrt(fix.stated_var[2])):
-            gate.begin_reset(x, RESET_MOTION)
-            start_from_yaw_bank(x, k, w)
-            yaw_reset.note_repair(x)
-            doubt.restart(x)
-            return True
-    fuse_position(x, k, w)
-    fuse_height(x, k, w)
-    return True
-
-
-def is_used(x: State, k: Parameters, flags: int) -> bool:
-    """Return whether a fix is used: the receiver's own, unless it reports spoofing or jamming.
-
-    The autopilot's own position is used only for a vehicle that never sent a fix of its receiver:
-    while a receiver is silent it is the autopilot's dead reckoning.
-    """
-    if flags & DERIVED:
-        if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.raw_fix_t > NEVER):
-            gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
-            return False
-    else:
-        x.raw_fix_t = x.t
-        if k.use_derived == 2.0:
-            gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
-            return False
-    if flags & SUSPECT:
-        gate.count_verdict(x, AID_POSITION, VERDICT_SUSPECT)
-        return False
-    return True
-
-
-def is_frozen(x: State, values: GnssRow) -> bool:
-    """Return whether the receiver repeats one position to the bit while the vehicle moves.
-
-    It moves by our own velocity, or by the receiver's, which is repeated and not zero, unless we
-    rest. Found once, it stays so until the position changes: our velocity is soon not known well.
-    """
-    is_same = cython.declare(
-        cython.bint,
-        x.last_fix[0] == values.lat and x.last_fix[1] == values.lon and x.last_fix[2] == values.alt,
+def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Observe north and east of the antenna: two rows."""
+    lat = fix.lat
+    lon = fix.lon
+    clear(o, 2, fix.std[0] * fix.std[0])
+    add_timing_noise(o, k, x.vel_n)
+    lever_arm.write_lever_arm(x, k, o)
+    look_back(x, x.gnss_delay, address(o.then))
+    o.shows_delay = k.use_velocity == 0.0 or isnan(fix.vel_n[0])
+    o.z[0] = (lat - x.origin.lat) * x.origin.scale_n - (
+        x.pos_n[0] + x.gnss_offset[0] + o.arm_n[0] - way(x, o, 0)
     )
-    has_same_vel = cython.declare(
-        cython.bint,
-        x.last_fix_vel[0] == values.vel_n[0] and x.last_fix_vel[1] == values.vel_n[1],
+    o.z[1] = wrap(lon - x.origin.lon) * x.origin.scale_e - (
+        x.pos_n[1] + x.gnss_offset[1] + o.arm_n[1] - way(x, o, 1)
     )
-    is_sent_moving = cython.declare(cython.bint, values.vel_n[0] != 0.0 or values.vel_n[1] != 0.0)
-    x.last_fix[0] = values.lat
-    x.last_fix[1] = values.lon
-    x.last_fix[2] = values.alt
-    x.last_fix_vel[0] = values.vel_n[0]
-    x.last_fix_vel[1] = values.vel_n[1]
-    speed = 0.0
-    sigma = 0.0
-    for i in range(3):
-        speed += x.vel_n[i] * x.vel_n[i]
-        sigma += x.P[E_VEL + i][E_VEL + i]
-    x.fix_repeats = x.fix_repeats + 1.0 if is_same else 0.0
-    is_moving = cython.declare(
-        cython.bint,
-        speed > 1.0 + 9.0 * sigma or (has_same_vel and is_sent_moving and x.at_rest == 0.0),
-    )
-    if x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and is_moving:
-        x.fix_repeats = FROZEN
-    return x.fix_repeats >= FROZEN
+    # theta turns the lever arm r: theta x r
+    o.H[0][E_ATT + 1] = o.arm_n[2]
+    o.H[0][E_ATT + 2] = -o.arm_n[1]
+    o.H[0][E_VEL] = -x.gnss_delay
+    o.H[0][E_POS] = 1.0
+    o.H[0][E_GNSS] = 1.0
+    o.H[0][E_DELAY] = -(x.vel_n[0] - o.then.since[0] + o.arm_vel_n[0])
+    o.H[1][E_ATT] = -o.arm_n[2]
+    o.H[1][E_ATT + 2] = o.arm_n[0]
+    o.H[1][E_VEL + 1] = -x.gnss_delay
+    o.H[1][E_POS + 1] = 1.0
+    o.H[1][E_GNSS + 1] = 1.0
+    o.H[1][E_DELAY] = -(x.vel_n[1] - o.then.since[1] + o.arm_vel_n[1])
 
 
-def learn_field(x: State, values: GnssRow) -> None:
-    """Learn the magnetic field of the fix's place."""
-    if isnan(values.declination):
-        return
-    if isnan(x.field.declination) and x.mag_t > NEVER and x.mode < MODE_NAVIGATE:
-        # a compass gave magnetic north: the next field gives true north, or if none comes soon
-        # another estimate, whose heading may be magnetic still
-        x.has_yaw = 0.0
-        if x.mag_t > x.t - SILENT_COMPASS:
-            x.mag_t = x.t - SILENT_COMPASS
-        x.alignment.reference.is_known = 0.0
-    x.field.declination = values.declination
-    x.field.inclination = values.inclination
-    x.field.strength = values.strength
+def height(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Observe the altitude of the antenna above mean sea level: one row, down."""
+    clear(o, 1, fix.std[1] * fix.std[1])
+    o.R[0][0] += k.timing_std * k.timing_std * x.vel_n[2] * x.vel_n[2]
+    lever_arm.write_lever_arm(x, k, o)
+    look_back(x, x.gnss_delay, address(o.then))
+    o.z[0] = (x.origin.alt - fix.alt) - (x.pos_n[2] + x.gnss_offset[2] + o.arm_n[2] - way(x, o, 2))
+    o.H[0][E_ATT] = o.arm_n[1]
+    o.H[0][E_ATT + 1] = -o.arm_n[0]
+    o.H[0][E_VEL + 2] = -x.gnss_delay
+    o.H[0][E_POS + 2] = 1.0
+    o.H[0][E_GNSS + 2] = 1.0
+    o.H[0][E_DELAY] = -(x.vel_n[2] - o.then.since[2] + o.arm_vel_n[2])
 
 
-def read_fix(x: State, k: Parameters, fix: Fix, values: GnssRow) -> None:
-    """Read a fix: its values, one sigma of the white part of each, its stated variances."""
-    fix.lat = values.lat
-    fix.lon = values.lon
-    fix.alt = values.alt
-    for i in range(3):
-        fix.vel_n[i] = values.vel_n[i]
-        fix.std[i] = values.std[i]
-    if isnan(fix.std[2]):
-        fix.std[2] = k.vel_std_default
-    for aid in range(3):
-        share = white_share(x, k, aid)
-        fix.stated_var[aid] = fix.std[aid] * fix.std[aid]
-        if aid < 2:
-            x.gnss_offset_var[aid] = fix.stated_var[aid] * (1.0 - share) if share < 1.0 else 0.0
-        fix.std[aid] *= sqrt(share)
-        if aid == AID_VELOCITY:
-            slow = k.gnss_vel_slow_std
-            slow *= doubt.receiver_share(x) if k.learn_noise != 0.0 else 1.0
-            white = sqrt(share * fix.stated_var[aid])
-            slow *= white / GOOD_VELOCITY if white > GOOD_VELOCITY else 1.0
-            x.gnss_vel_offset_var = slow * slow
-        least = k.gnss_floor[aid]
-        if aid == AID_VELOCITY and k.learn_noise != 0.0:
-            least = least * doubt.receiver_share(x)
-        if fix.std[aid] < least:
-            fix.std[aid] = least
-
-
-def white_share(x: State, k: Parameters, aid: int) -> float:
-    """Return the white share of a stated variance: the configured or the learnt one."""
-    if aid != AID_VELOCITY and not isnan(k.white_share):
-        return k.white_share
-    return x.white_share[aid] if x.white_share[aid] > LEAST_SHARE else LEAST_SHARE
-
-
-def bound_offset(x: State, o: Observation, axis: int, level: float) -> None:
-    """Bring the variance of a slow error down to its level, where that has been learnt lower.
-
-    As if the error had been measured to be none, just as well as that takes.
-    """
-    variance = x.P[E_GNSS + axis][E_GNSS + axis]
-    if level < LEAST_LEVEL:
-        level = LEAST_LEVEL
-    if variance <= 1.05 * level:
-        return
-    observe.clear(o, 1, variance * level / (variance - level))
-    o.H[0][E_GNSS + axis] = 1.0
-    o.z[0] = -x.gnss_offset[axis]
-    innovate(x, o)
-    apply_update(x, o)
-
-
-def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
-    """Fuse the receiver's observation if it passes the gate, and learn how white its error is."""
-    o = address(w.observation)
-    fix = address(w.fix)
-    nis = innovate(x, o)
-    hard = k.gate[o.rows - 1]
-    is_denied = cython.declare(cython.bint, x.is_force_denied != 0.0)
-    if aid == AID_VELOCITY and gate.is_running(x, aid) and is_denied_by_position(x, fix, o):
-        is_denied = True
-    if aid != AID_VELOCITY and is_dragged(x, o, fix, aid):
-        is_denied = True
-        if x.refused_t[aid] <= x.used_t[aid]:
-            forget_vel_offset(x)
-    if aid == AID_VELOCITY or (nis <= hard and not is_denied):
-        learn_white_share(x, o, aid, fix.stated_var[aid])
-    if aid == AID_VELOCITY:
-        doubt.learn_doubt(x, k, fix, o, nis, is_denied)
-    gate.score(x, o, hard if is_denied and nis < hard else nis, hard)
-    return gate.fuse_judged(x, k, o, aid, nis, is_denied)
-
-
-def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> None:
-    """Learn what share of the stated variance is white, from an observation that was judged.
-
-    White is what changes from one innovation to the next, beyond the filter's own doubt. Where that
-    doubt is large they tell little of it, and weigh less.
-    """
-    seen = 0.0
-    own = 0.0
-    noise = 0.0
-    memory = FIRST_MEMORY + x.nis_n[aid]
-    if aid == AID_VELOCITY and x.doubt < PROVEN_DOUBT:
-        memory = FIRST_VELOCITY_MEMORY + x.nis_n[aid]
-    is_next = cython.declare(cython.bint, x.t - x.last_z_t[aid] < NEXT)
-    x.last_z_t[aid] = x.t
-    for r in range(o.rows):
-        change = o.z[r] - x.last_z[aid][r]
-        seen += 0.5 * change * change
-        x.last_z[aid][r] = o.z[r]
-        noise += o.R[r][r]
-        for j in range(N):
-            own += o.H[r][j] * o.PHt[r][j]
-    if not is_next:
-        return
-    seen = (seen - own) / (o.rows * stated_var)
-    if memory > WHITE_MEMORY:
-        memory = WHITE_MEMORY
-    x.white_share[aid] = gate.follow_share(x.white_share[aid], seen, noise, own, memory)
-    if x.white_share[aid] < 0.0:
-        x.white_share[aid] = 0.0
-
-
-def is_dragged(x: State, o: Observation, fix: Fix, aid: int) -> bool:
-    """Return whether the fixes deviate to one side, each by too little for its gate.
-
-    The mean of the whitened innovations over some seconds is near zero unless fixes and motion
-    disagree; a receiver that is dragged off shows so long before any single fix does. While the
-    inertial samples are in doubt, what is within the sigma that it states is no drag.
-    """
-    first = 0 if aid == AID_POSITION else 2
-    gain = x.fix_dt / (x.fix_dt + MEAN_TIME)
-    size = 0.0
-    way = 0.0
-    for r in range(o.rows):
-        y = o.y[r]
-        y = y if y < LARGEST_TERM else LARGEST_TERM
-        y = y if y > -LARGEST_TERM else -LARGEST_TERM
-        x.innovation_mean[first + r] += gain * (y - x.innovation_mean[first + r])
-        size += x.innovation_mean[first + r] * x.innovation_mean[first + r]
-        off = x.innovation_mean[first + r] * o.L[r][r]
-        way += off * off
-    shown = MEAN_SIGMAS * MEAN_SIGMAS * gain / (2.0 - gain)
-    if x.is_one_sided[aid] != 0.0:
-        shown *= 0.25
-    x.is_one_sided[aid] = (
-        1.0
-        if size > shown
-        and (x.doubt <= 1.0 or way > fix.stated_var[aid] or slide.contradicts_itself(x, fix))
-        else 0.0
-    )
-    return x.is_one_sided[aid] != 0.0 and size > LARGEST_MEAN * LARGEST_MEAN
-
-
-def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
-    """Fuse the velocity. Return False if its time-out shows that more than velocity is wrong."""
-    fix = address(w.fix)
-    o = address(w.observation)
-    observe.velocity(x, k, fix, o)
-    if fuse(x, k, w, AID_VELOCITY):
-        return True
-    if doubt.is_receivers_own(x, fix):
-        if not gate.is_timed_out(x, AID_POSITION, k.timeout_vel):
-            return True
-    else:
-        doubt.doubt_refusal(x, k, fix, o)
-    if not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel) or is_denied_by_position(x, fix, o):
-        return True
-    if gate.is_proven(x, AID_VELOCITY, o.rows, fix.stated_var[2], JERK, SHORTEST_RUN):
-        gate.begin_reset(x, RESET_VELOCITY)
-        reset_velocity(x, k, w)
-        return True
-    return x.t - x.refused_t[AID_VELOCITY] <= 0.5 * k.timeout_vel * 1e9
-
-
-def is_denied_by_position(x: State, fix: Fix, o: Observation) -> bool:
-    """Return whether the receiver's positions move as our velocity says, and not as its own.
-
-    Were ours wrong by what its velocities have said since they are refused, the positions would
-    deviate to one side within some seconds.
-    """
-    n = x.run[AID_VELOCITY].n + 1.0
-    own = 0.0
-    now = 0.0
-    mean = 0.0
-    for r in range(2):
-        z = (x.run[AID_VELOCITY].z[r] + o.z[r]) / n
-        own += x.P[E_VEL + r][E_VEL + r]
-        now += o.z[r] * o.z[r]
-        mean += z * z
-    way = MEAN_TIME * MEAN_TIME * mean
-    return (
-        not gate.is_timed_out(x, AID_POSITION, SAME_CAUSE)
-        and x.is_one_sided[AID_POSITION] == 0.0
-        and way > SHOWN_SIGMAS * SHOWN_SIGMAS * fix.std[AID_POSITION] * fix.std[AID_POSITION]
-        and mean > own
-        and now > 0.1 * mean
-    )
-
-
-def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
-    """Fuse the horizontal position, or reset it if refused fixes are consistent."""
-    fix = address(w.fix)
-    north = x.P[E_VEL][E_VEL]
-    east = x.P[E_VEL + 1][E_VEL + 1]
-    drift = north if north > east else east
-    if not gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE) and drift > LARGEST_DRIFT:
-        # more would be the receiver's position against its own velocity
-        drift = LARGEST_DRIFT
-    observe.position(x, k, fix, address(w.observation))
-    if fuse(x, k, w, AID_POSITION):
-        slide.follow(x, fix, False)
-        x.refused_way[0] = 0.0
-        x.refused_way[1] = 0.0
-        return
-    if is_settling(x, AID_POSITION):
-        gate.begin_reset(x, RESET_POSITION)
-        reset_position(x, k, w)
-        return
-    if x.refused_t[AID_POSITION] == x.t:
-        slide.refuse(x)
-    patience = position_patience(x, k, w)
-    shortest = 0.5 * patience if 0.5 * patience > SHORTEST_RUN else SHORTEST_RUN
-    if not gate.is_refused_for(x, AID_POSITION, patience) or not gate.is_proven(
-        x, AID_POSITION, 2, fix.stated_var[0], drift, shortest
-    ):
-        return
-    gate.begin_reset(x, RESET_POSITION)
-    reset_position(x, k, w)
-    if gate.is_timed_out(x, AID_VELOCITY, k.timeout_pos):
-        reset_unknown_velocity(x, 0, 2)
-    if gate.has_run_for(x, AID_HEIGHT, SAME_CAUSE):
-        reset_height(x, k, w)
-
-
-def is_settling(x: State, aid: int) -> bool:
-    """Return whether a receiver is refused while the vehicle stands on the ground, not armed.
-
-    It is the receiver that moves, as every one does after a cold start, and its newest place is the
-    best one. Nothing is flown by ours yet, so that a reset harms nobody.
-    """
-    return (
-        x.at_rest != 0.0 and rest.is_reported_still(x) and gate.is_timed_out(x, aid, SHORTEST_RUN)
-    )
-
-
-def position_patience(x: State, k: Parameters, w: Scratch) -> float:
-    """Return how long this position is refused before it may reset ours, s.
-
-    While the velocity is fused, our position can have drifted only slowly: a distance that would
-    have taken longer is the receiver's jump.
-    """
-    if gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE):
-        return k.timeout_pos
-    z = w.observation.z
-    north = z[0] - x.refused_way[0]
-    east = z[1] - x.refused_way[1]
-    off = z[0] * z[0] + z[1] * z[1]
-    sigma = x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1]
-    if north * north + east * east < 0.1 * off:
-        # it is where the velocity led that was refused: that was right
-        return SAME_CAUSE
-    if off < FEW_SIGMAS * FEW_SIGMAS * sigma:
-        return k.timeout_pos
-    needed = sqrt(off) / OWN_DRIFT
-    if needed > LONGEST_PATIENCE:
-        needed = LONGEST_PATIENCE
-    return needed if needed > k.timeout_pos else k.timeout_pos
-
-
-def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
-    """Fuse the height, or reset it if refused fixes are consistent."""
-    fix = address(w.fix)
-    drift = x.P[E_VEL + 2][E_VEL + 2]
-    if x.voices.loser == VOICE_HEIGHT and not is_settling(x, AID_HEIGHT):
-        gate.count_verdict(x, AID_HEIGHT, VERDICT_SUSPECT)
-        gate.clear_run(x, AID_HEIGHT)
-        return
-    observe.height(x, k, fix, address(w.observation))
-    if fuse(x, k, w, AID_HEIGHT):
-        return
-    if is_settling(x, AID_HEIGHT):
-        gate.begin_reset(x, RESET_HEIGHT)
-        reset_height(x, k, w)
-        voices.take_height(x)
-        x.has_baro = 0.0
-        return
-    if not gate.is_timed_out(x, AID_HEIGHT, k.timeout_height) or not gate.is_proven(
-        x, AID_HEIGHT, 1, fix.stated_var[1], drift, SHORTEST_RUN
-    ):
-        return
-    gate.begin_reset(x, RESET_HEIGHT)
-    reset_height(x, k, w)
-    if isnan(fix.vel_n[2]) or gate.is_timed_out(x, AID_VELOCITY, k.timeout_height):
-        reset_unknown_velocity(x, 2, 1)
+def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Observe the velocity of the antenna: two rows, or three where the fix has a down."""
+    clear(o, 2 if isnan(fix.vel_n[2]) else 3, fix.std[2] * fix.std[2])
+    lever_arm.write_lever_arm(x, k, o)
+    look_back(x, x.gnss_delay, address(o.then))
+    add_timing_noise(o, k, o.then.accel_n)
+    lever_arm.add_noise(x, k, o)
+    unevenness(x, o.uneven)
+    for i in range(o.rows):
+        o.uneven[i] *= k.learn_noise  # not beside a noise that is told
+        o.R[i][i] += o.uneven[i]
+        antenna = x.vel_n[i] + o.arm_vel_n[i] - o.then.since[i]
+        o.z[i] = fix.vel_n[i] - (antenna + x.gnss_vel_offset[i])
+        o.H[i][E_VEL + i] = 1.0
+        o.H[i][E_GNSS_VEL + i] = 1.0
+        o.H[i][E_DELAY] = -o.then.accel_n[i]
+        # the gyro bias turns the lever arm: C (l x bg)
+        o.H[i][E_BG] = o.C_nb[i][1] * k.lever_arm_b[2] - o.C_nb[i][2] * k.lever_arm_b[1]
+        o.H[i][E_BG + 1] = o.C_nb[i][2] * k.lever_arm_b[0] - o.C_nb[i][0] * k.lever_arm_b[2]
+        o.H[i][E_BG + 2] = o.C_nb[i][0] * k.lever_arm_b[1] - o.C_nb[i][1] * k.lever_arm_b[0]
+    # theta turns the antenna's extra velocity u: theta x u
+    o.H[0][E_ATT + 1] = o.arm_vel_n[2]
+    o.H[0][E_ATT + 2] = -o.arm_vel_n[1]
+    o.H[1][E_ATT] = -o.arm_vel_n[2]
+    o.H[1][E_ATT + 2] = o.arm_vel_n[0]
+    if o.rows == 3:
+        o.H[2][E_ATT] = o.arm_vel_n[1]
+        o.H[2][E_ATT + 1] = -o.arm_vel_n[0]

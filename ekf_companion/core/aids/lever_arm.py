@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -94,3 +95,23 @@ def learn(x: State, k: Parameters, o: Observation, axis: int, true: float) -> No
         arm.arm_b[i] += o.gain[i] * off / s
         for j in range(3):
             arm.P[i][j] -= o.gain[i] * o.gain[j] / s
+
+
+def write_lever_arm(x: State, k: Parameters, o: Observation) -> None:
+    """Write the lever arm in n, and the velocity that the antenna has from the turn."""
+    lx = k.lever_arm_b[0]
+    ly = k.lever_arm_b[1]
+    lz = k.lever_arm_b[2]
+    wx = x.gyro[0] - x.gyro_bias[0]
+    wy = x.gyro[1] - x.gyro_bias[1]
+    wz = x.gyro[2] - x.gyro_bias[2]
+    vx = wy * lz - wz * ly
+    vy = wz * lx - wx * lz
+    vz = wx * ly - wy * lx
+    to_dcm(x.q_nb, o.C_nb)
+    for i in range(3):
+        o.turn_nb[i][0] = o.C_nb[i][1] * wz - o.C_nb[i][2] * wy
+        o.turn_nb[i][1] = o.C_nb[i][2] * wx - o.C_nb[i][0] * wz
+        o.turn_nb[i][2] = o.C_nb[i][0] * wy - o.C_nb[i][1] * wx
+        o.arm_n[i] = o.C_nb[i][0] * lx + o.C_nb[i][1] * ly + o.C_nb[i][2] * lz
+        o.arm_vel_n[i] = o.C_nb[i][0] * vx + o.C_nb[i][1] * vy + o.C_nb[i][2] * vz

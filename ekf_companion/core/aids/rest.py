@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import observe
-from cython.cimports.ekf_companion.core.filter.propagate import propagate_covariance
+from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm, wrap
-from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate, reset_variance
 from cython.cimports.ekf_companion.core.memory.enums import (
-    AID_POSITION,
-    AID_REST,
     E_BG,
-    E_POS,
     E_VEL,
-    MODE_ATTITUDE,
     MODE_LEVEL,
     MODE_NAVIGATE,
 )
@@ -22,24 +16,12 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.start import align, yaw_bank
-from cython.cimports.ekf_companion.core.trust import gate
-from cython.cimports.libc.math import atan2, isnan, sqrt
+from cython.cimports.libc.math import atan2, cos, isnan, sin, sqrt
 
 FEWEST = cython.declare(cython.double, 5.0)
 """Samples to judge rest by."""
-ROUGH_AFTER = cython.declare(cython.double, 6e9)
-"""Time without rest and velocity of GNSS after which a rough attitude is used, ns."""
-FAKE_INTERVAL = cython.declare(cython.double, 2e8)
-"""Interval between pseudo-measurements of zero velocity without GNSS, ns."""
-LOST = cython.declare(cython.double, 100.0)
-"""Position variance over its limit beyond which the position is dropped."""
-LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
-"""Time without GNSS after which it is dropped, s."""
 LEAST_SPEED = cython.declare(cython.double, 0.2)
 """Estimated speed that excludes rest, beside its sigmas, m/s."""
-REST_SPEED = cython.declare(cython.double, 0.05)
-"""One sigma of the velocity at rest, m/s."""
 SLOW_VELOCITY = cython.declare(cython.double, 0.04)
 """Error of the receiver's mean velocity over a window at rest beside noise, one sigma, m/s."""
 REST_SIGMAS = cython.declare(cython.double, 3.0)
@@ -58,6 +40,10 @@ FIELD_TURN = cython.declare(cython.double, 0.01)
 """One sigma of a turn of the magnetic field itself between two windows, rad."""
 LONGEST_STILL = cython.declare(cython.double, 60.0)
 """Time after which the field is compared with that of a newer window, s."""
+
+
+EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
+"""rad/s."""
 
 
 def begin_window(x: State, t: float) -> None:
@@ -95,6 +81,12 @@ def add_to_window(x: State) -> None:
         rest.accel[i] += x.accel[i]
         rest.gyro2[i] += x.gyro[i] * x.gyro[i]
         rest.accel2[i] += x.accel[i] * x.accel[i]
+
+
+def is_full(x: State, k: Parameters) -> bool:
+    """Return whether the window is long enough to judge rest by."""
+    rest = address(x.alignment.rest)
+    return x.t - rest.t0 >= k.align_time * 1e9 and rest.n >= FEWEST
 
 
 def add_field(x: State, mag_b: Vector) -> None:
@@ -206,57 +198,6 @@ def was_at_rest(x: State, k: Parameters) -> bool:
     return True
 
 
-def check_rest(x: State, k: Parameters, w: Scratch) -> None:
-    """Level, or fuse rest, when a window of it is full; keep an attitude without GNSS."""
-    rest = address(x.alignment.rest)
-    add_to_window(x)
-    if x.t - rest.t0 >= k.align_time * 1e9 and rest.n >= FEWEST:
-        propagate_covariance(x, k, address(w.motion))
-        use_rest_window(x, k, w)
-        begin_window(x, x.t)
-    if x.mode == MODE_ATTITUDE and x.t - x.fake_t >= FAKE_INTERVAL:
-        propagate_covariance(x, k, address(w.motion))
-        fuse_no_travel(x, w)
-    elif (
-        x.mode == MODE_NAVIGATE
-        and gate.is_timed_out(x, AID_POSITION, LONGEST_OUTAGE)
-        and x.P[E_POS][E_POS] > LOST * k.limit_pos * k.limit_pos
-    ):
-        # so long without GNSS that only the attitude is left to keep
-        propagate_covariance(x, k, address(w.motion))
-        x.mode = MODE_ATTITUDE
-        reset_variance(x, E_VEL, 3, 100.0)
-        for i in range(3):
-            x.vel_n[i] = 0.0
-
-
-def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
-    """Find out whether the window saw rest; level by it, or fuse it."""
-    # an autopilot that reports flight excludes rest: a smooth flight looks like it
-    was_still = x.at_rest
-    x.at_rest = 0.0
-    if (x.armed != 1.0 or x.landed == 1.0) and was_at_rest(x, k) and not is_moving(x):
-        x.at_rest = 1.0
-    if was_still == 0.0 or x.at_rest == 0.0:
-        x.alignment.still.t0 = 0.0
-    if x.mode == MODE_LEVEL:
-        if x.at_rest != 0.0:
-            align.level_at_rest(x, k, w)
-            observe_rate(x, k, w, HIDDEN_TURN)
-            innovate(x, address(w.observation))
-            apply_update(x, address(w.observation))
-            yaw_bank.take_bias(x, gyro_bias_std(x))
-        elif x.t - x.alignment.start_t > ROUGH_AFTER and not is_levelling_by_fixes(x):
-            align.level_roughly(x, k, w)
-    elif x.at_rest != 0.0 and k.use_rest != 0.0 and x.needs_reset == 0.0:
-        fuse_zero_velocity(x, k, w)
-
-
-def is_levelling_by_fixes(x: State) -> bool:
-    """Return whether fixes come that level in motion: with a velocity."""
-    return x.t - x.fix_t <= ROUGH_AFTER and x.alignment.motion.has_fix != 0.0
-
-
 def is_moving(x: State) -> bool:
     """Return whether the estimated velocity excludes rest: a wing flies as quietly as it stands."""
     speed = 0.0
@@ -272,52 +213,9 @@ def is_moving(x: State) -> bool:
     return speed > LEAST_SPEED * LEAST_SPEED + 9.0 * sigma
 
 
-def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
-    """Fuse zero velocity, and the mean rate over the window as the gyro bias.
-
-    A turn that the first window has hidden is hidden in all others too: unless the autopilot
-    reports that it stands, they show nothing of the bias about the vertical.
-
-    Only where a rest has been seen before, or the autopilot says that it has landed: so a first
-    hover is not taken for one.
-    """
-    o = address(w.observation)
-    if not x.rest_gyro > 0.0 and x.landed != 1.0:
-        return
-    if x.mode == MODE_NAVIGATE:
-        observe.zero_velocity(x, o, REST_SPEED)
-        if not gate.fuse(x, k, o, AID_REST):
-            return
-        x.ground = x.pos_n[2]
-        x.has_ground = 1.0
-    observe_rate(x, k, w, HIDDEN_LATER)
-    if is_reported_still(x):
-        admit_new_bias(x, k, o)
-    if gate.fuse(x, k, o, AID_REST) and x.yaw_bank.has_moved == 0.0:
-        std = gyro_bias_std(x)
-        if std < x.yaw_bank.gyro_bias_std:
-            yaw_bank.take_bias(x, std)
-
-
 def is_reported_still(x: State) -> bool:
     """Return whether the autopilot reports that it stands: landed, or not armed."""
     return x.landed == 1.0 or x.armed == 0.0
-
-
-def admit_new_bias(x: State, k: Parameters, o: Observation) -> None:
-    """Raise the variance of a gyro bias that a window of rest denies: the bias has moved.
-
-    PX4 takes its own filter's bias off what it sends, and in its first minute, or with a wrong
-    heading, that bias runs away faster than any sensor's. A rate beyond one sigma of a bias at the
-    start is a turn after all.
-    """
-    if innovate(x, o) <= k.soft_gate[2]:
-        return
-    for i in range(3):
-        if o.z[i] * o.z[i] > k.gyro_bias_std * k.gyro_bias_std:
-            return
-    for i in range(3):
-        x.P[E_BG + i][E_BG + i] += o.z[i] * o.z[i]
 
 
 def gyro_bias_std(x: State) -> float:
@@ -328,13 +226,13 @@ def gyro_bias_std(x: State) -> float:
     return sqrt(largest)
 
 
-def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> None:
+def observe_rate(x: State, k: Parameters, w: Scratch, is_first: bool) -> None:
     """Observe the mean rate of a window of rest as the gyro's bias.
 
     Unless the autopilot reports that it stands, the vehicle may turn steadily. About a level axis
     that shows in the specific force: a tilt that changes over the window makes a twelfth of its
     change squared. About the vertical it shows in the magnetic field, if there is one; else it has
-    one sigma of ``hidden_turn`` (rad/s).
+    one sigma of its own, and what the first window has hidden is hidden in all.
     """
     rest = address(x.alignment.rest)
     o = address(w.observation)
@@ -344,13 +242,13 @@ def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> Non
         noise += rest.gyro2[i] / rest.n - w.mean_rate[i] * w.mean_rate[i]
     noise = sqrt(noise / rest.n) + REST_RATE if noise > 0.0 else REST_RATE
     if is_reported_still(x):
-        observe.zero_rate(x, o, w.mean_rate, noise, noise)
+        zero_rate(x, o, w.mean_rate, noise, noise)
         return
-    tilting = sqrt(12.0 * align.force_variance(x)) / (k.gravity * (x.t - rest.t0) * 1e-9)
+    tilting = sqrt(12.0 * force_variance(x)) / (k.gravity * (x.t - rest.t0) * 1e-9)
     if tilting > HIDDEN_TURN:
         tilting = HIDDEN_TURN
-    hidden_turn = compare_with_field(x, k, w, hidden_turn)
-    observe.zero_rate(x, o, w.mean_rate, noise + tilting, noise + hidden_turn)
+    hidden_turn = compare_with_field(x, k, w, HIDDEN_TURN if is_first else HIDDEN_LATER)
+    zero_rate(x, o, w.mean_rate, noise + tilting, noise + hidden_turn)
 
 
 def compare_with_field(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> float:
@@ -402,13 +300,42 @@ def compare_with_field(x: State, k: Parameters, w: Scratch, hidden_turn: float) 
     return hidden_turn
 
 
-def fuse_no_travel(x: State, w: Scratch) -> None:
-    """Fuse zero velocity with a large sigma, which bounds tilt by gravity."""
-    o = address(w.observation)
-    x.fake_t = x.t
-    observe.zero_velocity(x, o, 0.1 if x.at_rest != 0.0 else 30.0)
-    innovate(x, o)
-    apply_update(x, o)
-    reset_variance(x, E_POS, 2, 1.0)
-    for i in range(2):
-        x.pos_n[i] = 0.0
+def zero_velocity(x: State, o: Observation, std: float) -> None:
+    """Observe zero velocity with one sigma std, m/s: three rows."""
+    clear(o, 3, std * std)
+    for i in range(3):
+        o.z[i] = -x.vel_n[i]
+        o.H[i][E_VEL + i] = 1.0
+
+
+def zero_rate(x: State, o: Observation, rate: Vector, level: float, vertical: float) -> None:
+    """Observe that the gyro's rate at rest is its bias and the turning Earth: three rows.
+
+    One sigma of the vehicle's own rate, and of noise, differs about level axes and the vertical.
+    """
+    north = 0.0
+    down = 0.0
+    clear(o, 3, level * level)
+    to_dcm(x.q_nb, o.C_nb)
+    for i in range(3):
+        for j in range(3):
+            o.R[i][j] += (vertical * vertical - level * level) * o.C_nb[2][i] * o.C_nb[2][j]
+    if x.origin.is_known != 0.0:
+        lat = x.origin.lat + x.pos_n[0] / x.origin.scale_n
+        north = EARTH_RATE * cos(lat)
+        down = -EARTH_RATE * sin(lat)
+    for i in range(3):
+        o.z[i] = rate[i] - (x.gyro_bias[i] + o.C_nb[0][i] * north + o.C_nb[2][i] * down)
+        o.H[i][E_BG + i] = 1.0
+
+
+def force_variance(x: State) -> float:
+    """Return the variance of the specific force over the window, all axes together, m^2/s^4."""
+    rest = address(x.alignment.rest)
+    variance = 0.0
+    if rest.n < 2.0:
+        return 0.0
+    for i in range(3):
+        mean = rest.accel[i] / rest.n
+        variance += rest.accel2[i] / rest.n - mean * mean
+    return variance if variance > 0.0 else 0.0

@@ -13,21 +13,15 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import observe
-from cython.cimports.ekf_companion.core.filter.propagate import propagate_covariance
+from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
-from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.enums import (
-    AID_VELOCITY,
     E_ATT,
     E_BA,
     E_VEL,
-    MODE_NAVIGATE,
 )
-from cython.cimports.ekf_companion.core.memory.parameters import Parameters
-from cython.cimports.ekf_companion.core.memory.scratch import Scratch
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import gate
 from cython.cimports.libc.math import sqrt
 
 BLOCK = cython.declare(cython.double, 2e8)
@@ -46,8 +40,6 @@ FLYING = cython.declare(cython.double, 2.0)
 """Speed at which a vehicle flies that does not say so, m/s."""
 PROVEN = cython.declare(cython.double, 5.0)
 """Sigmas by which the coefficient must differ from none."""
-WITHOUT = cython.declare(cython.double, 1.0)
-"""Time without the receiver's velocity after which the force is used, s."""
 
 
 def restart(x: State) -> None:
@@ -66,21 +58,18 @@ def restart(x: State) -> None:
         drag.P[i][i] = FIRST_STD * FIRST_STD * FIRST_WIND * FIRST_WIND
 
 
-def add_force(x: State, k: Parameters, w: Scratch) -> None:
-    """Add the newest sample; learn from a full block, or use it where there is no velocity."""
+def add_force(x: State) -> bool:
+    """Add the newest sample; return whether the block is full."""
     drag = address(x.drag)
     drag.n += 1.0
     for i in range(2):
         drag.force[i] += x.accel[i]
-    if x.t - drag.t0 < BLOCK:
-        return
-    if x.mode == MODE_NAVIGATE and x.at_rest == 0.0 and x.needs_reset == 0.0 and is_flying(x):
-        to_dcm(x.q_nb, w.observation.C_nb)
-        if not gate.is_timed_out(x, AID_VELOCITY, WITHOUT):
-            learn(x, w)
-        elif drag.theta[0] > PROVEN * sqrt(drag.P[0][0]):
-            propagate_covariance(x, k, address(w.motion))
-            use(x, k, w)
+    return x.t - drag.t0 >= BLOCK
+
+
+def begin_block(x: State) -> None:
+    """Begin a block of samples."""
+    drag = address(x.drag)
     drag.t0 = x.t
     drag.n = 0.0
     for i in range(2):
@@ -97,6 +86,11 @@ def is_flying(x: State) -> bool:
     return x.armed == 1.0 or speed > FLYING * FLYING
 
 
+def is_proven(x: State) -> bool:
+    """Return whether the force is known to depend on the velocity."""
+    return x.drag.theta[0] > PROVEN * sqrt(x.drag.P[0][0])
+
+
 def let_wind_walk(x: State) -> None:
     """Let the wind change over a block."""
     drag = address(x.drag)
@@ -105,10 +99,10 @@ def let_wind_walk(x: State) -> None:
         drag.P[i][i] += walk * walk * BLOCK * 1e-9
 
 
-def learn(x: State, w: Scratch) -> None:
+def learn(x: State, o: Observation) -> None:
     """Learn coefficient and wind from the block's mean force and the estimated velocity."""
     drag = address(x.drag)
-    o = address(w.observation)
+    to_dcm(x.q_nb, o.C_nb)
     let_wind_walk(x)
     for axis in range(2):
         o.y[0] = 0.0
@@ -132,16 +126,16 @@ def learn(x: State, w: Scratch) -> None:
                 drag.P[i][j] -= o.z[i] * o.z[j] / s
 
 
-def use(x: State, k: Parameters, w: Scratch) -> None:
+def observe(x: State, o: Observation) -> None:
     """Observe the velocity through the air by the block's mean force: two rows."""
     drag = address(x.drag)
-    o = address(w.observation)
     d = drag.theta[0]
+    to_dcm(x.q_nb, o.C_nb)
     let_wind_walk(x)
     vn = x.vel_n[0] - drag.theta[1] / d
     ve = x.vel_n[1] - drag.theta[2] / d
     vd = x.vel_n[2]
-    observe.clear(o, 2, 0.0)
+    clear(o, 2, 0.0)
     for axis in range(2):
         cn = o.C_nb[0][axis]
         ce = o.C_nb[1][axis]
@@ -159,5 +153,3 @@ def use(x: State, k: Parameters, w: Scratch) -> None:
         unknown = through * through * drag.P[0][0] + cn * cn * drag.P[1][1] + ce * ce * drag.P[2][2]
         # what is not known of coefficient and wind is the same in all blocks
         o.R[axis][axis] = SAME_ERROR * (drag.variance + unknown)
-    if innovate(x, o) <= k.gate[1]:
-        apply_update(x, o)

@@ -7,7 +7,7 @@ something happened, and how its error follows from that before (:class:`~.enums.
 from __future__ import annotations
 
 from cython import address
-from cython.cimports.ekf_companion.core.filter.propagate import write_transition
+from cython.cimports.ekf_companion.core.filter.covariance import write_transition
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
     LINK_CUT,

@@ -302,19 +302,6 @@ def rotate_back(v: Vector, o: Observation) -> None:
     v[2] = p2 - s * (c2 - (dx * c1 - dy * c0))
 
 
-def reset_variance(x: State, first: int, count: int, variance: float) -> None:
-    """Make some error states uncorrelated with all others, each of this variance.
-
-    They are counted as drawn anew: what is known of them later says nothing of them before.
-    """
-    for i in range(first, first + count):
-        x.redrawn[i] += 1.0
-        for j in range(N):
-            x.P[i][j] = 0.0
-            x.P[j][i] = 0.0
-        x.P[i][i] = variance
-
-
 def copy_nominal(x: State, source: State) -> None:
     """Copy the nominal state: all that an error state is the error of."""
     for i in range(4):

@@ -192,10 +192,20 @@ class Motion:
     """-C_nb dt: from gyro bias to attitude, from accelerometer bias to velocity."""
     q: Annotated[Vector, 6]
     """Variance that white noise adds to angle and velocity, per axis of b."""
+    gyro_walk: Real
+    """Variance that the walk of a gyro bias adds, (rad/s)^2."""
+    accel_walk: Real
+    """Likewise of an accelerometer bias, (m/s^2)^2."""
+    new_bias: Real
+    """What that may have jumped by besides, (m/s^2)^2."""
+    baro_walk: Real
+    """Likewise of the barometer's offset, m^2."""
     slow_dt: Real
     """Time over which the slow errors were carried on with this interval, s; 0: they were not."""
     heading_faded: Real
-    """Share of the heading's that it faded by."""
+    """Share of the heading's that it fades by."""
+    heading_level: Real
+    """Variance of that in the long run, rad^2."""
     row: Annotated[Vector, N]
     row2: Annotated[Vector, N]
 

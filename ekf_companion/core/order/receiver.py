@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import observe
-from cython.cimports.ekf_companion.core.filter.update import innovate, reset_variance
+from cython.cimports.ekf_companion.core.aids import gnss
+from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
+from cython.cimports.ekf_companion.core.filter.update import innovate
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_POSITION,
     E_GNSS,
+    E_VEL,
     MODE_NAVIGATE,
     RESET_ORIGIN,
     RESET_POSITION,
     RUNS,
+    VERDICT_SUPERSEDED,
+    VERDICT_SUSPECT,
     VOICE_NONE,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -27,6 +31,7 @@ from cython.cimports.ekf_companion.core.start.navigation import (
     reset_to_fix,
     start_navigation,
 )
+from cython.cimports.ekf_companion.core.trust import gate
 from cython.cimports.ekf_companion.core.trust.gate import (
     begin_reset,
     clear_run,
@@ -47,6 +52,14 @@ UNUSED = cython.declare(cython.double, 3.0)
 """Time for which its position is not used, for whatever reason, s."""
 FAR = cython.declare(cython.double, 1000.0)
 """Distance from which on an origin is not worth to be kept, m."""
+
+
+REPEATS = cython.declare(cython.double, 2.0)
+"""Repeats of one position after which a moving receiver counts as frozen."""
+FROZEN = cython.declare(cython.double, 1e9)
+"""Repeats that stand for a receiver that was found to be frozen."""
+SUSPECT = cython.declare(cython.int, 2)
+DERIVED = cython.declare(cython.int, 1)
 
 
 def is_used(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
@@ -81,7 +94,7 @@ def is_better(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     fix.std[0] = values.std[0]
     for i in range(3):
         fix.vel_n[i] = values.vel_n[i]
-    observe.position(x, k, fix, o)
+    gnss.position(x, k, fix, o)
     return innovate(x, o) <= k.gate[1]
 
 
@@ -128,7 +141,7 @@ def replace_derived(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     """
     fix = address(w.fix)
     o = address(w.observation)
-    observe.position(x, k, fix, o)
+    gnss.position(x, k, fix, o)
     if innovate(x, o) <= k.gate[1]:
         return False
     north = o.z[0]
@@ -148,3 +161,59 @@ def replace_derived(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     x.moved.pos_n[1] = east
     x.moved.pos_n[2] = down
     return True
+
+
+def is_allowed(x: State, k: Parameters, flags: int) -> bool:
+    """Return whether a fix is used: the receiver's own, unless it reports spoofing or jamming.
+
+    The autopilot's own position is used only for a vehicle that never sent a fix of its receiver:
+    while a receiver is silent it is the autopilot's dead reckoning.
+    """
+    if flags & DERIVED:
+        if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.raw_fix_t > NEVER):
+            gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
+            return False
+    else:
+        x.raw_fix_t = x.t
+        if k.use_derived == 2.0:
+            gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
+            return False
+    if flags & SUSPECT:
+        gate.count_verdict(x, AID_POSITION, VERDICT_SUSPECT)
+        return False
+    return True
+
+
+def is_frozen(x: State, values: GnssRow) -> bool:
+    """Return whether the receiver repeats one position to the bit while the vehicle moves.
+
+    It moves by our own velocity, or by the receiver's, which is repeated and not zero, unless we
+    rest. Found once, it stays so until the position changes: our velocity is soon not known well.
+    """
+    is_same = cython.declare(
+        cython.bint,
+        x.last_fix[0] == values.lat and x.last_fix[1] == values.lon and x.last_fix[2] == values.alt,
+    )
+    has_same_vel = cython.declare(
+        cython.bint,
+        x.last_fix_vel[0] == values.vel_n[0] and x.last_fix_vel[1] == values.vel_n[1],
+    )
+    is_sent_moving = cython.declare(cython.bint, values.vel_n[0] != 0.0 or values.vel_n[1] != 0.0)
+    x.last_fix[0] = values.lat
+    x.last_fix[1] = values.lon
+    x.last_fix[2] = values.alt
+    x.last_fix_vel[0] = values.vel_n[0]
+    x.last_fix_vel[1] = values.vel_n[1]
+    speed = 0.0
+    sigma = 0.0
+    for i in range(3):
+        speed += x.vel_n[i] * x.vel_n[i]
+        sigma += x.P[E_VEL + i][E_VEL + i]
+    x.fix_repeats = x.fix_repeats + 1.0 if is_same else 0.0
+    is_moving = cython.declare(
+        cython.bint,
+        speed > 1.0 + 9.0 * sigma or (has_same_vel and is_sent_moving and x.at_rest == 0.0),
+    )
+    if x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and is_moving:
+        x.fix_repeats = FROZEN
+    return x.fix_repeats >= FROZEN

@@ -22,7 +22,8 @@ from __future__ import annotations
 import cython
 import numpy as np
 from cython import address
-from cython.cimports.ekf_companion.core.filter.propagate import set_origin
+from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
+from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.memory import enums
 from cython.cimports.ekf_companion.core.memory.overlay import (
     Vector,
@@ -38,6 +39,7 @@ from cython.cimports.ekf_companion.core.memory.scratch import ODOMETRY, OUT, ROW
 from cython.cimports.ekf_companion.core.memory.state import BLOCK
 from cython.cimports.ekf_companion.core.order import step
 from cython.cimports.ekf_companion.core.order.events import compare, is_sane
+from cython.cimports.ekf_companion.core.order.restart import is_sound, recover
 from cython.cimports.ekf_companion.core.order.stamps import Held
 from cython.cimports.ekf_companion.core.output.estimate import (
     find_reasons,
@@ -215,9 +217,10 @@ class Timeline:
         begin_reset(self.x, enums.RESET_CLOCK)
         back = cython.declare(cython.double, 1e-9 * (self.stamp_ns - t_ns))
         for i in range(3):
-            for j in range(3):
+            add_variance(self.x, enums.E_POS + i, self.x.vel_n[i] * self.x.vel_n[i] * back * back)
+            for j in range(i):
                 way = self.x.vel_n[i] * self.x.vel_n[j] * back * back
-                self.x.P[enums.E_POS + i][enums.E_POS + j] += way
+                add_covariance(self.x, enums.E_POS + i, enums.E_POS + j, way)
         if self.x.mode == enums.MODE_NAVIGATE:
             # until fixes by the new clock have had their say
             proven_t = self.x.t + 1e9 * late_fix(self.x)
@@ -608,9 +611,9 @@ class Timeline:
             step.step(self.x, self.k, address(self.w), self.rows, first, i)
             first = i + 1
             self.cursor = first
-            if not step.is_sound(self.x):
+            if not is_sound(self.x):
                 good = address(self.snapshots[self.snaps - 1])
-                step.recover(self.x, self.k, good, self.rows[i].t)
+                recover(self.x, self.k, good, self.rows[i].t)
             if self.x.samples % SNAPSHOT_EVERY == 0.0:
                 copy_state(address(self.snapshots[self.snaps]), self.x)
                 self.snapshot_row[self.snaps] = i

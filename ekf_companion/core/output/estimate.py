@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.filter.propagate import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm, wrap
+from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,

@@ -14,8 +14,8 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.aids.delay import first_variance
-from cython.cimports.ekf_companion.core.aids.heading import reset_yaw
-from cython.cimports.ekf_companion.core.aids.observe import azimuth
+from cython.cimports.ekf_companion.core.aids.heading import azimuth
+from cython.cimports.ekf_companion.core.aids.rest import force_variance
 from cython.cimports.ekf_companion.core.filter.rotation import (
     normalise,
     rotate,
@@ -23,7 +23,12 @@ from cython.cimports.ekf_companion.core.filter.rotation import (
     to_dcm,
     wrap,
 )
-from cython.cimports.ekf_companion.core.filter.update import reset_variance
+from cython.cimports.ekf_companion.core.filter.slow_error import (
+    clear_covariance,
+    reset_variance,
+    set_covariance,
+    set_variance,
+)
 from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_FIELD,
     E_ATT,
@@ -37,11 +42,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     MODE_ATTITUDE,
     MODE_LEVEL,
     MODE_NAVIGATE,
-    N,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, Motion, Pair, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.start.yaw_reset import reset_yaw
 from cython.cimports.libc.math import atan2, cos, isnan, sin, sqrt
 
 REFERENCE_AGE = cython.declare(cython.double, 1.5e9)
@@ -142,24 +147,20 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
         delay = first_variance(x, k)
     iron = learnt_variance(x, E_IRON, 3, k.iron_std)
     g = k.gravity
-    for i in range(N):
-        for j in range(N):
-            x.P[i][j] = 0.0
+    clear_covariance(x)
     reset_variance(x, E_ATT, 2, tilt * tilt + variance / (g * g))
     reset_variance(x, E_BA, 3, variance)
     reset_variance(x, E_BG, 3, rate)
     to_dcm(x.q_nb, o.C_nb)
     for i in range(3):
-        x.P[0][E_BA + i] = variance * o.C_nb[1][i] / g
-        x.P[1][E_BA + i] = -variance * o.C_nb[0][i] / g
-        x.P[E_BA + i][0] = x.P[0][E_BA + i]
-        x.P[E_BA + i][1] = x.P[1][E_BA + i]
+        set_covariance(x, E_ATT, E_BA + i, variance * o.C_nb[1][i] / g)
+        set_covariance(x, E_ATT + 1, E_BA + i, -variance * o.C_nb[0][i] / g)
     reset_variance(x, E_VEL, 3, 0.01)
     reset_variance(x, E_POS, 3, 1.0)
     reset_variance(x, E_DELAY, 1, delay)
     x.heading_offset = 0.0
     x.has_yaw = 0.0
-    x.P[2][2] = UNKNOWN_YAW
+    set_variance(x, E_ATT + 2, UNKNOWN_YAW)
     for i in range(3):
         x.vel_n[i] = 0.0
         x.pos_n[i] = 0.0
@@ -178,18 +179,6 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
         # the attitude points there already; the row says how sure that is
         o.z[0] = 0.0
         reset_yaw(x, o)
-
-
-def force_variance(x: State) -> float:
-    """Return the variance of the specific force over the window, all axes together, m^2/s^4."""
-    rest = address(x.alignment.rest)
-    variance = 0.0
-    if rest.n < 2.0:
-        return 0.0
-    for i in range(3):
-        mean = rest.accel[i] / rest.n
-        variance += rest.accel2[i] / rest.n - mean * mean
-    return variance if variance > 0.0 else 0.0
 
 
 def level_by_window(x: State, w: Scratch) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import observe
+from cython.cimports.ekf_companion.core.aids import gnss
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
-from cython.cimports.ekf_companion.core.filter.propagate import set_origin
-from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate, reset_variance
+from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance, set_variance
+from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
+from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -97,7 +98,7 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
             x.hard_iron[i] = 0.0
     for i in range(3):
         # the bank has its own
-        x.P[E_BG + i][E_BG + i] = 0.0
+        set_variance(x, E_BG + i, 0.0)
     x.alignment.reference.is_known = 0.0
     align.start_filter(x, k, w, x.yaw_bank.tilt_std, x.yaw_bank.gyro_bias_std)
     forget_gain(x)
@@ -146,7 +147,7 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
         x.gnss_offset[i] = 0.0
     reset_variance(x, E_GNSS, 2, x.gnss_offset_var[0])
     reset_variance(x, E_POS, 2, ANY)
-    observe.position(x, k, address(w.fix), o)
+    gnss.position(x, k, address(w.fix), o)
     for i in range(2):
         x.pos_n[i] += o.z[i]
         x.moved.pos_n[i] += o.z[i]
@@ -166,7 +167,7 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     x.gnss_offset[2] = 0.0
     reset_variance(x, E_GNSS + 2, 1, x.gnss_offset_var[1])
     reset_variance(x, E_POS + 2, 1, ANY)
-    observe.height(x, k, address(w.fix), o)
+    gnss.height(x, k, address(w.fix), o)
     x.pos_n[2] += o.z[0]
     x.moved.pos_n[2] += o.z[0]
     o.z[0] = 0.0
@@ -189,7 +190,7 @@ def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
     o = address(w.observation)
     forget_vel_offset(x)
     reset_variance(x, E_VEL, 3, ANY)
-    observe.velocity(x, k, address(w.fix), o)
+    gnss.velocity(x, k, address(w.fix), o)
     for i in range(o.rows):
         x.vel_n[i] += o.z[i]
         x.moved.vel_n[i] += o.z[i]

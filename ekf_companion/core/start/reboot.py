@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.filter.slow_error import set_variance
 from cython.cimports.ekf_companion.core.memory.enums import E_BA, E_BG, E_DELAY, E_IRON
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -24,7 +25,7 @@ def carry_over(x: State, y: State, k: Parameters) -> None:
     x.gnss_delay = y.first_delay + within(y.gnss_delay - y.first_delay, k.delay_std)
     x.first_delay = y.first_delay
     x.first_delay_var = y.first_delay_var
-    x.P[E_DELAY][E_DELAY] = y.P[E_DELAY][E_DELAY]
+    set_variance(x, E_DELAY, y.P[E_DELAY][E_DELAY])
     x.gain.var = y.gain.var
     x.gain.n = y.gain.n
     x.gain.shown = y.gain.shown
@@ -35,14 +36,14 @@ def carry_over(x: State, y: State, k: Parameters) -> None:
         x.nis_sum[i] = y.nis_sum[i]
         x.nis_n[i] = y.nis_n[i]
         x.hard_iron[i] = within(y.hard_iron[i], k.iron_std)
-        x.P[E_IRON + i][E_IRON + i] = y.P[E_IRON + i][E_IRON + i]
+        set_variance(x, E_IRON + i, y.P[E_IRON + i][E_IRON + i])
         x.accel_bias[i] = within(y.accel_bias[i], k.accel_bias_std)
         if k.keeps_bias == 0.0:
             continue
-        x.P[E_BA + i][E_BA + i] = y.P[E_BA + i][E_BA + i] + walked
+        set_variance(x, E_BA + i, y.P[E_BA + i][E_BA + i] + walked)
         if is_flown:
             x.gyro_bias[i] = within(y.gyro_bias[i], k.gyro_bias_std)
-            x.P[E_BG + i][E_BG + i] = y.P[E_BG + i][E_BG + i] + turned
+            set_variance(x, E_BG + i, y.P[E_BG + i][E_BG + i] + turned)
 
 
 def within(value: float, sigma: float) -> float:

@@ -12,6 +12,10 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import rotate, wrap
+from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
+from cython.cimports.ekf_companion.core.filter.update import apply_yaw_update, innovate
+from cython.cimports.ekf_companion.core.memory.enums import AID_HEADING, E_ATT
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import atan2, fabs
 
@@ -32,6 +36,10 @@ UNKNOWN_STD = cython.declare(cython.double, 1.8137993642342178)
 MOST_REPAIRS = cython.declare(cython.double, 3.0)
 BETWEEN_REPAIRS = cython.declare(cython.double, 5e9)
 """Least time between two of them, ns."""
+
+
+ANY_YAW = cython.declare(cython.double, 100.0)
+"""Variance of an unknown yaw, rad^2."""
 
 
 def is_ready(x: State) -> bool:
@@ -118,3 +126,15 @@ def slow_error(x: State, stated: float) -> float:
     if error < LEAST_ERROR or error < stated:
         return stated
     return error if error < UNKNOWN_STD else UNKNOWN_STD
+
+
+def reset_yaw(x: State, o: Observation) -> None:
+    """Set the yaw by an observed azimuth; it shares the slow errors from then on."""
+    rotate(x.q_nb, 0.0, 0.0, o.z[0])
+    x.moved.yaw += o.z[0]
+    o.z[0] = 0.0
+    reset_variance(x, E_ATT + 2, 1, ANY_YAW)
+    innovate(x, o)
+    apply_yaw_update(x, o)
+    x.has_yaw = 1.0
+    x.used_t[AID_HEADING] = x.t

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     E_BARO,
@@ -172,8 +173,8 @@ def find_rush(x: State, fix: Fix, dt: float, difference: float) -> None:
             voices.difference[2] -= before
             voices.smooth[0] -= before
             lead = voices.rush * voices.rush
-            x.P[E_POS + 2][E_POS + 2] += lead
-            x.P[E_VEL + 2][E_VEL + 2] += lead / (RUSH_TIME * RUSH_TIME)
+            add_variance(x, E_POS + 2, lead)
+            add_variance(x, E_VEL + 2, lead / (RUSH_TIME * RUSH_TIME))
     if voices.is_rushing != 0.0:
         fix.vel_n[2] = NAN
 
@@ -247,11 +248,10 @@ def doubt_height(x: State) -> None:
     doubt = 0.0
     for i in range(3):
         doubt += 0.25 * voices.smooth[i] * voices.smooth[i]
-    x.P[E_POS + 2][E_POS + 2] += doubt
+    add_variance(x, E_POS + 2, doubt)
     if voices.loser != VOICE_BARO:
-        x.P[E_BARO][E_BARO] += doubt
-        x.P[E_POS + 2][E_BARO] += doubt
-        x.P[E_BARO][E_POS + 2] += doubt
+        add_variance(x, E_BARO, doubt)
+        add_covariance(x, E_POS + 2, E_BARO, doubt)
 
 
 def compare(x: State, pair: int, variance: float) -> float:

@@ -84,16 +84,15 @@ def begin_slow_stretch(x: State) -> None:
     walk.redrawn = x.redrawn[E_BARO]
 
 
-def add_gyro_walk(x: State, axis: int, variance: float) -> None:
-    """Let a gyro's bias walk by a variance, (rad/s)^2."""
-    x.P[E_BG + axis][E_BG + axis] += variance
-    x.walk.added[axis] += variance
+def note_gyro_walk(x: State, variance: float) -> None:
+    """Note that each of the gyro's biases walks by a variance, (rad/s)^2."""
+    for j in range(3):
+        x.walk.added[j] += variance
 
 
-def add_baro_walk(x: State, variance: float, by_speed: float, speed2: float) -> None:
-    """Let the barometer's offset walk by a variance (m^2), and by one of a speed, (m/s)^2."""
+def note_baro_walk(x: State, variance: float, by_speed: float, speed2: float) -> None:
+    """Note that the barometer's offset walks: by a variance (m^2) and by one of speed, (m/s)^2."""
     walk = address(x.walk)
-    x.P[E_BARO][E_BARO] += variance + by_speed
     walk.baro_added += variance + by_speed
     walk.speed_added += by_speed
     walk.least_speed = speed2 if speed2 < walk.least_speed else walk.least_speed
@@ -101,7 +100,7 @@ def add_baro_walk(x: State, variance: float, by_speed: float, speed2: float) -> 
 
 
 def note_fading(x: State, faded: float, level: float) -> None:
-    """Note that the heading's slow error has faded by a share, towards its level (rad^2)."""
+    """Note that the heading's slow error fades by a share, towards its level (rad^2)."""
     walk = address(x.walk)
     kept = (1.0 - faded) * (1.0 - faded)
     walk.offset *= 1.0 - faded

@@ -22,8 +22,9 @@ def sampled(m: Motion, sample=SAMPLE) -> Motion:
 
 def move(x, k, m, dt):
     """Integrate the state and propagate its covariance."""
-    load().propagate.integrate_strapdown(x, k, sampled(m), dt)
-    load().propagate.propagate_covariance(x, k, m)
+    load().strapdown.integrate_strapdown(x, k, sampled(m), dt)
+    load().process_noise.scale_noise(x, k, m)
+    load().covariance.propagate_covariance(x, k, m)
 
 
 @pytest.mark.parametrize("dt", [0.004, 0.02, 0.1])
@@ -65,9 +66,10 @@ def test_a_covariance_that_follows_three_samples_at_once_is_as_exact():
         array(x.P)[:] = root @ root.T
         for n in range(1, 13):
             turning = (3.0 * np.sin(n), -4.0, 2.0, *SAMPLE[3:])
-            load().propagate.integrate_strapdown(x, k, sampled(m, turning), 0.004)
+            load().strapdown.integrate_strapdown(x, k, sampled(m, turning), 0.004)
             if n % every == 0:
-                load().propagate.propagate_covariance(x, k, m)
+                load().process_noise.scale_noise(x, k, m)
+                load().covariance.propagate_covariance(x, k, m)
         found.append(np.array(x.P))
     each, at_once = found
     sigmas = np.sqrt(np.diag(each))
@@ -87,7 +89,7 @@ def test_the_transition_is_the_one_that_the_covariance_went_by(dt):
         y = copy(x)
         array(y.P)[:] = P
         move(y, k, m, dt)
-        load().propagate.write_transition(k, m, dt, record.Phi)
+        load().covariance.write_transition(k, m, dt, record.Phi)
         ends.append(np.array(y.P))
     Phi = np.array(record.Phi)
     with_noise, noise = ends
@@ -123,14 +125,14 @@ def test_noise_is_what_van_loan_gives():
 
 
 def test_gravity_and_earth_rate_agree_with_the_vocabulary():
-    propagate = load().propagate
+    strapdown = load().strapdown
     lat, alt, dt = 0.7, 1000.0, 0.01
     x, k, m = State(), some_parameters(), Motion()
     x.q_nb[0] = 1.0
-    propagate.set_origin(x, lat, 0.2, alt)
+    strapdown.set_origin(x, lat, 0.2, alt)
     north, east = earth.LocalFrame(lat, 0.2, alt).scale
     assert (x.origin.scale_n, x.origin.scale_e) == pytest.approx((north, east), rel=1e-14)
-    propagate.integrate_strapdown(x, k, m, dt)
+    strapdown.integrate_strapdown(x, k, m, dt)
     assert x.vel_n[2] / dt == pytest.approx(float(earth.gravity(lat, alt)), rel=1e-12)
     # a body that does not turn in inertial space turns against the Earth
     turned = so3.log(np.array(x.q_nb)) / dt
@@ -153,7 +155,7 @@ def test_two_samples_in_a_row_show_coning_and_sculling(kind):
             sampled(m, now)
             slope = (now - before) / period * has_slope
             m.rate_slope[:], m.force_slope[:] = slope[:3], slope[3:]
-            load().propagate.integrate_strapdown(x, k, m, period)
+            load().strapdown.integrate_strapdown(x, k, m, period)
         return x
 
     exact = np.concatenate([rate, force], axis=-1)
@@ -166,7 +168,7 @@ def test_two_samples_in_a_row_show_coning_and_sculling(kind):
 
 
 def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
-    x, k, level = a_state(3), Parameters(), load().propagate.heading_level
+    x, k, level = a_state(3), Parameters(), load().process_noise.heading_level
     x.heading_std, x.azimuth, k.learn_noise = 0.02, Azimuth.FIELD, 1.0
     row = array(x.P)[E_HEADING]
     found = {}

@@ -1,0 +1,86 @@
+"""Error states set by hand: drawn anew, inflated, decayed, copied.
+
+With :mod:`.update` and :mod:`.covariance` the only place that writes P.
+"""
+
+from __future__ import annotations
+
+from cython.cimports.ekf_companion.core.memory.enums import N
+from cython.cimports.ekf_companion.core.memory.state import State
+
+
+def reset_variance(x: State, first: int, count: int, variance: float) -> None:
+    """Make some error states uncorrelated with all others, each of this variance.
+
+    They are counted as drawn anew: what is known of them later says nothing of them before.
+    """
+    for i in range(first, first + count):
+        x.redrawn[i] += 1.0
+        for j in range(N):
+            x.P[i][j] = 0.0
+            x.P[j][i] = 0.0
+        x.P[i][i] = variance
+
+
+def decay(x: State, e: int, g: float, level: float) -> None:
+    """Decay the Gauss-Markov error state e by the share g, towards its stationary variance.
+
+    Within the first nine rows only the column is written: those are mirrored afterwards.
+    """
+    for j in range(N):
+        x.P[j][e] -= g * x.P[j][e]
+    for j in range(9, N):
+        x.P[e][j] -= g * x.P[e][j]
+    x.P[e][e] += g * (2.0 - g) * level
+
+
+def add_variance(x: State, e: int, variance: float) -> None:
+    """Add to the variance of an error state; its correlations become weaker."""
+    x.P[e][e] += variance
+
+
+def add_covariance(x: State, e: int, other: int, covariance: float) -> None:
+    """Add to the covariance of two different error states."""
+    x.P[e][other] += covariance
+    x.P[other][e] += covariance
+
+
+def set_variance(x: State, e: int, variance: float) -> None:
+    """Set the variance of an error state and leave its covariances."""
+    x.P[e][e] = variance
+
+
+def set_covariance(x: State, e: int, other: int, covariance: float) -> None:
+    """Set the covariance of two error states."""
+    x.P[e][other] = covariance
+    x.P[other][e] = covariance
+
+
+def scale_correlation(x: State, e: int, share: float) -> None:
+    """Multiply the row and the column of an error state by a share."""
+    for i in range(N):
+        x.P[e][i] *= share
+        x.P[i][e] = x.P[e][i]
+
+
+def copy_error(x: State, e: int, source: int, variance: float) -> None:
+    """Make an error state the error of another one and white noise of this variance."""
+    for j in range(N):
+        x.P[e][j] = x.P[source][j]
+        x.P[j][e] = x.P[source][j]
+    x.P[e][e] = x.P[source][source] + variance
+    x.redrawn[e] += 1.0
+
+
+def clear_covariance(x: State) -> None:
+    """Make P zero."""
+    for i in range(N):
+        for j in range(N):
+            x.P[i][j] = 0.0
+
+
+def copy_covariance(x: State, source: State) -> None:
+    """Copy P of another state."""
+    for i in range(N):
+        for j in range(N):
+            x.P[i][j] = source.P[i][j]
