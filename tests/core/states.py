@@ -17,6 +17,7 @@ from ekf_companion.core.memory.enums import (
     N,
 )
 from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.scratch import Motion
 from ekf_companion.core.memory.state import State
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
@@ -32,6 +33,8 @@ VECTORS = {
 }
 """Parts of the nominal state that are vectors, and where their errors are."""
 NUMBERS = {"baro_offset": E_BARO, "gnss_delay": E_DELAY, "heading_offset": E_HEADING}
+SAMPLE = (0.4, -0.8, 0.3, 1.5, -2.0, -9.0)
+"""Rate, rad/s, and specific force, m/s^2."""
 
 
 def array(field) -> np.ndarray:
@@ -93,3 +96,9 @@ def minus(y: State, x: State) -> np.ndarray:
     for name, place in NUMBERS.items():
         error[place] = getattr(y, name) - getattr(x, name)
     return error
+
+
+def sampled(m: Motion, sample: tuple[float, ...] = SAMPLE) -> Motion:
+    """Return a motion with a rate and a force."""
+    m.rate[:], m.force[:] = sample[:3], sample[3:]
+    return m

@@ -1,23 +1,13 @@
-import itertools
+"""P carried on by a motion, against the slope of the motion itself."""
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ekf_companion.core.memory.enums import E_HEADING, Azimuth, N
-from ekf_companion.core.memory.parameters import Parameters
+from ekf_companion.core.memory.enums import N
 from ekf_companion.core.memory.scratch import Motion, TapeRecord
-from ekf_companion.core.memory.state import State
-from ekf_companion.nav import earth, so3
 from tests.core.interpreted import load
-from tests.core.states import a_state, array, copy, minus, plus, some_parameters
-
-SAMPLE = (0.4, -0.8, 0.3, 1.5, -2.0, -9.0)
-
-
-def sampled(m: Motion, sample=SAMPLE) -> Motion:
-    m.rate[:], m.force[:] = sample[:3], sample[3:]
-    return m
+from tests.core.states import SAMPLE, a_state, array, copy, minus, plus, sampled, some_parameters
 
 
 def move(x, k, m, dt):
@@ -122,72 +112,3 @@ def test_noise_is_what_van_loan_gives():
         # to first order in dt: what the noise of attitude adds to velocity in 10 ms is left out
         largest = np.abs(expected[part, part]).max()
         np.testing.assert_allclose(after[part, part], expected[part, part], atol=1e-4 * largest)
-
-
-def test_gravity_and_earth_rate_agree_with_the_vocabulary():
-    strapdown = load().strapdown
-    lat, alt, dt = 0.7, 1000.0, 0.01
-    x, k, m = State(), some_parameters(), Motion()
-    x.q_nb[0] = 1.0
-    strapdown.set_origin(x, lat, 0.2, alt)
-    north, east = earth.LocalFrame(lat, 0.2, alt).scale
-    assert (x.origin.scale_n, x.origin.scale_e) == pytest.approx((north, east), rel=1e-14)
-    strapdown.integrate_strapdown(x, k, m, dt)
-    assert x.vel_n[2] / dt == pytest.approx(float(earth.gravity(lat, alt)), rel=1e-12)
-    # a body that does not turn in inertial space turns against the Earth
-    turned = so3.log(np.array(x.q_nb)) / dt
-    np.testing.assert_allclose(turned, -earth.earth_rate_n(lat), atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["cone", "scull"])
-def test_two_samples_in_a_row_show_coning_and_sculling(kind):
-    """A body that cones, or swings in time with its acceleration, sampled as means at 100 Hz."""
-    dt, n, w0, fine = 0.01, 300, 2.0 * np.pi * 8.0, 50
-    t = (np.arange(n * fine) + 0.5) * dt / fine
-    zero = np.zeros_like(t)
-    rate = np.stack([0.8 * np.sin(w0 * t), 0.8 * np.cos(w0 * t) * (kind == "cone"), zero], axis=-1)
-    force = np.stack([zero, 6.0 * np.sin(w0 * t) * (kind == "scull"), zero - 9.8], axis=-1)
-
-    def fly(samples: np.ndarray, period: float, has_slope: bool) -> State:
-        x, k, m = State(), some_parameters(), Motion()
-        x.q_nb[0] = 1.0
-        for before, now in itertools.pairwise(samples):
-            sampled(m, now)
-            slope = (now - before) / period * has_slope
-            m.rate_slope[:], m.force_slope[:] = slope[:3], slope[3:]
-            load().strapdown.integrate_strapdown(x, k, m, period)
-        return x
-
-    exact = np.concatenate([rate, force], axis=-1)
-    means = exact.reshape(n, fine, 6).mean(axis=1)
-    truth = fly(np.concatenate([exact[fine - 1 : fine], exact[fine:]]), dt / fine, True)
-    plain = minus(fly(means, dt, False), truth)
-    better = minus(fly(means, dt, True), truth)
-    part = slice(0, 3) if kind == "cone" else slice(3, 6)
-    assert np.abs(better[part]).max() < 0.1 * np.abs(plain[part]).max()
-
-
-def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
-    x, k, level = a_state(3), Parameters(), load().process_noise.heading_level
-    x.heading_std, x.azimuth, k.learn_noise = 0.02, Azimuth.FIELD, 1.0
-    row = array(x.P)[E_HEADING]
-    found = {}
-    for case, offset, std in (
-        ("unknown", 0.0, 0.02),
-        ("part", 0.0, 0.016),
-        ("right", 0.001, 0.005),
-        ("wrong", 0.03, 0.005),
-    ):
-        x.heading_offset, row[E_HEADING] = offset, std**2
-        found[case] = np.sqrt(level(x, k))
-    # while nothing shows the error, nothing changes
-    assert found["unknown"] == found["wrong"] == pytest.approx(0.02)
-    assert found["part"] == pytest.approx(0.016)
-    assert found["right"] == pytest.approx(0.02 * np.sqrt(0.25))
-
-    # another estimate's error wanders with time, whatever GNSS has found
-    x.azimuth, x.heading_offset, row[E_HEADING] = Azimuth.OTHER, 0.0, 0.005**2
-    assert level(x, k) == pytest.approx(0.02**2)
-    # with learn_noise off only what is configured counts
-    x.azimuth, k.learn_noise = Azimuth.FIELD, 0.0
-    assert level(x, k) == pytest.approx(0.02**2)

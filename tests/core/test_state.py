@@ -5,8 +5,8 @@ import pytest
 
 from ekf_companion.core.memory import enums, parameters, scratch, state
 from ekf_companion.core.memory.declare import pxd
-from ekf_companion.core.memory.overlay import as_estimate
-from ekf_companion.core.memory.state import BLOCK, State
+from ekf_companion.core.memory.overlay import as_estimate, clear_estimated, errors
+from ekf_companion.core.memory.state import BLOCK, ESTIMATED, State
 from ekf_companion.core.order import timeline
 from ekf_companion.nav.measurements import WIDTH
 from ekf_companion.nav.state import COLUMNS
@@ -47,8 +47,28 @@ def test_all_of_a_state_is_doubles_without_a_gap():
 
     assert doubles(dtype) == BLOCK
     assert ctypes.sizeof(State) == 8 * BLOCK
-    ends = [(State.P.offset + State.P.size) // 8, BLOCK]
-    assert ends[0] == ends[1]
+
+
+def test_errors_lie_in_the_state_as_in_the_covariance():
+    names = ("vel_n", "pos_n", "gyro_bias", "accel_bias", "baro_offset", "gnss_delay")
+    names += ("heading_offset", "gnss_offset", "hard_iron", "gnss_vel_offset")
+    places = (enums.E_VEL, enums.E_POS, enums.E_BG, enums.E_BA, enums.E_BARO, enums.E_DELAY)
+    places += (enums.E_HEADING, enums.E_GNSS, enums.E_IRON, enums.E_GNSS_VEL)
+    x = State()
+    for name, place in zip(names, places, strict=True):
+        errors(x)[place - enums.E_VEL] = place
+        field = getattr(x, name)
+        assert (field if isinstance(field, float) else field[0]) == place
+    assert len(errors(x)) == enums.N - enums.E_VEL
+
+
+def test_what_is_estimated_is_cleared_and_nothing_else():
+    x = State.from_buffer(np.ones(BLOCK))
+    clear_estimated(x)
+    cleared = np.frombuffer(x, np.float64) == 0.0
+    assert cleared[:ESTIMATED].all()
+    assert not cleared[ESTIMATED:].any()
+    assert (x.P[2][2], x.has_yaw, x.t, x.count[1][1]) == (0.0, 0.0, 1.0, 1.0)
 
 
 def test_a_row_holds_a_measurement_and_an_estimate_its_columns():

@@ -7,8 +7,6 @@ from ekf_companion.core.memory.enums import (
     E_DELAY,
     E_HEADING,
     E_IRON,
-    E_POS,
-    E_VEL,
     Aid,
     N,
 )
@@ -140,16 +138,6 @@ def test_a_nominal_state_is_copied_whole_and_nothing_else_is():
     assert not array(o.dx).any()
     assert not any(y.gyro)
     assert not any(y.accel_n)
-
-
-def test_a_reset_variance_leaves_no_correlation():
-    x, *_ = a_problem(5, 1)
-    load().slow_error.reset_variance(x, E_VEL, 3, 4.0)
-    P = array(x.P)
-    assert np.array_equal(P[E_VEL : E_VEL + 3, E_VEL : E_VEL + 3], 4.0 * np.eye(3))
-    assert not P[E_VEL, :E_VEL].any()
-    assert not P[E_POS:, E_VEL].any()
-    assert np.flatnonzero(x.redrawn).tolist() == [E_VEL, E_VEL + 1, E_VEL + 2]
 
 
 def test_a_log_likelihood_is_that_of_a_normal_distribution_up_to_the_gate():

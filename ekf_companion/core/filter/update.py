@@ -13,19 +13,14 @@ import cython
 from cython.cimports.ekf_companion.core.filter.rotation import rotate
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
-    E_BA,
-    E_BARO,
     E_BG,
     E_DELAY,
-    E_GNSS,
-    E_GNSS_VEL,
     E_HEADING,
     E_IRON,
-    E_POS,
     E_VEL,
     N,
 )
-from cython.cimports.ekf_companion.core.memory.overlay import Vector
+from cython.cimports.ekf_companion.core.memory.overlay import Vector, errors
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import atan2, fabs, sqrt
@@ -172,17 +167,9 @@ def inject(x: State, o: Observation) -> None:
     dy = 0.5 * o.dx[1]
     dz = 0.5 * o.dx[2]
     rotate(x.q_nb, o.dx[0], o.dx[1], o.dx[2])
-    for i in range(3):
-        x.vel_n[i] += o.dx[E_VEL + i]
-        x.pos_n[i] += o.dx[E_POS + i]
-        x.gyro_bias[i] += o.dx[E_BG + i]
-        x.accel_bias[i] += o.dx[E_BA + i]
-        x.gnss_offset[i] += o.dx[E_GNSS + i]
-        x.hard_iron[i] += o.dx[E_IRON + i]
-        x.gnss_vel_offset[i] += o.dx[E_GNSS_VEL + i]
-    x.baro_offset += o.dx[E_BARO]
-    x.gnss_delay += o.dx[E_DELAY]
-    x.heading_offset += o.dx[E_HEADING]
+    value = errors(x)
+    for i in range(N - E_VEL):
+        value[i] += o.dx[E_VEL + i]
     for i in range(N):
         p0 = x.P[0][i]
         p1 = x.P[1][i]
@@ -247,17 +234,10 @@ def difference(x: State, y: State, o: Observation) -> None:
     o.dx[E_ATT] = s * qx
     o.dx[E_ATT + 1] = s * qy
     o.dx[E_ATT + 2] = s * qz
-    for i in range(3):
-        o.dx[E_VEL + i] = y.vel_n[i] - x.vel_n[i]
-        o.dx[E_POS + i] = y.pos_n[i] - x.pos_n[i]
-        o.dx[E_BG + i] = y.gyro_bias[i] - x.gyro_bias[i]
-        o.dx[E_BA + i] = y.accel_bias[i] - x.accel_bias[i]
-        o.dx[E_GNSS + i] = y.gnss_offset[i] - x.gnss_offset[i]
-        o.dx[E_IRON + i] = y.hard_iron[i] - x.hard_iron[i]
-        o.dx[E_GNSS_VEL + i] = y.gnss_vel_offset[i] - x.gnss_vel_offset[i]
-    o.dx[E_BARO] = y.baro_offset - x.baro_offset
-    o.dx[E_DELAY] = y.gnss_delay - x.gnss_delay
-    o.dx[E_HEADING] = y.heading_offset - x.heading_offset
+    value = errors(x)
+    other = errors(y)
+    for i in range(N - E_VEL):
+        o.dx[E_VEL + i] = other[i] - value[i]
 
 
 def rebase(y: State, o: Observation) -> None:
@@ -306,14 +286,7 @@ def copy_nominal(x: State, source: State) -> None:
     """Copy the nominal state: all that an error state is the error of."""
     for i in range(4):
         x.q_nb[i] = source.q_nb[i]
-    for i in range(3):
-        x.vel_n[i] = source.vel_n[i]
-        x.pos_n[i] = source.pos_n[i]
-        x.gyro_bias[i] = source.gyro_bias[i]
-        x.accel_bias[i] = source.accel_bias[i]
-        x.gnss_offset[i] = source.gnss_offset[i]
-        x.hard_iron[i] = source.hard_iron[i]
-        x.gnss_vel_offset[i] = source.gnss_vel_offset[i]
-    x.baro_offset = source.baro_offset
-    x.gnss_delay = source.gnss_delay
-    x.heading_offset = source.heading_offset
+    value = errors(x)
+    other = errors(source)
+    for i in range(N - E_VEL):
+        value[i] = other[i]

@@ -25,8 +25,10 @@ Structs: TypeAlias = Any
 
 
 def struct(declared: type) -> Any:
-    """Return a C struct whose fields are a class's annotations, in their order."""
-    fields = [(name, _memory(hint)) for name, hint in declared.__annotations__.items()]
+    """Return a C struct whose fields are a class's annotations, after those of its bases."""
+    parts = [*(base for base in declared.__bases__ if base is not object), declared]
+    hints = [hint for part in parts for hint in vars(part).get("__annotations__", {}).items()]
+    fields = [(name, _memory(hint)) for name, hint in hints]
     body = {"__doc__": declared.__doc__, "__module__": declared.__module__, "_fields_": fields}
     return type(declared.__name__, (ctypes.Structure,), body)
 

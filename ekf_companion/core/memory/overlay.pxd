@@ -2,7 +2,7 @@
 from ekf_companion.core.memory.enums cimport N
 from ekf_companion.core.memory.parameters cimport Parameters
 from ekf_companion.core.memory.scratch cimport Estimate, Event, OdometryNumbers, TapeRecord
-from ekf_companion.core.memory.state cimport State
+from ekf_companion.core.memory.state cimport ESTIMATED, State
 ctypedef double *Vector
 ctypedef double *Numbers  # a memoryview; the signature says so
 ctypedef double (*Dcm)[3]
@@ -24,3 +24,10 @@ cdef inline TapeRecord *as_records(double[:, ::1] records) noexcept nogil:
     return <TapeRecord *> &records[0, 0]
 cdef inline void copy_state(State *to, const State *source) noexcept nogil:
     to[0] = source[0]
+cdef inline double *errors(State *x) noexcept nogil:
+    return &x.vel_n[0]
+cdef inline void clear_estimated(State *x) noexcept nogil:
+    cdef double *numbers = <double *> x
+    cdef Py_ssize_t i
+    for i in range(ESTIMATED):
+        numbers[i] = 0.0

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.core.memory.declare import Dcm, Numbers, Square, Structs, Vector
+from ekf_companion.core.memory.enums import E_VEL, N
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Estimate, Event, OdometryNumbers, TapeRecord
-from ekf_companion.core.memory.state import State
+from ekf_companion.core.memory.state import ESTIMATED, State
 from ekf_companion.nav.arrays import Array
 
 
@@ -55,6 +56,16 @@ def as_records(records: Array) -> Any:
 def copy_state(to: Any, source: Any) -> None:
     """Copy a whole state."""
     ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), ctypes.sizeof(to))
+
+
+def errors(x: Any) -> Any:
+    """Return what P has errors of beside the attitude, shape (N - 3,), in their order there."""
+    return (ctypes.c_double * (N - E_VEL)).from_buffer(x, State.vel_n.offset)
+
+
+def clear_estimated(x: Any) -> None:
+    """Make zero what is estimated."""
+    ctypes.memset(ctypes.addressof(x), 0, ESTIMATED * ctypes.sizeof(ctypes.c_double))
 
 
 def _over(kind: Any, array: Array, count: int = 0) -> Any:

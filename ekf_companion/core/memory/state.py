@@ -468,14 +468,11 @@ class Lever:
     """Mean square of the change of rate over the last gains of velocity, all axes, (rad/s)^2."""
 
 
-@struct
-class State:
-    """Everything that the filter estimates and decides by."""
+class Estimated:
+    """What is estimated, and what it was learnt from: all of it goes when the filter starts over.
 
-    t: Real
-    """Of validity, ns."""
-    mode: Real
-    """:class:`Mode`."""
+    From ``vel_n`` on the errors are differences, in their order in P: :func:`~.overlay.errors`.
+    """
 
     q_nb: Annotated[Vector, 4]
     vel_n: Annotated[Vector, 3]
@@ -490,29 +487,48 @@ class State:
     """Pressure altitude less altitude, m."""
     gnss_delay: Real
     """How much later than the configured delay a fix is, s."""
-    first_delay: Real
-    """First guess of it, s: from what the autopilot tells."""
-    first_delay_var: Real
-    """Variance of that, s^2; 0: as configured."""
     heading_offset: Real
     """Slow error of the heading in use, rad."""
     gnss_offset: Annotated[Vector, 3]
     """Slow error of the receiver's position, n e d, m."""
-    gnss_vel_offset: Annotated[Vector, 3]
-    """Slow error of the receiver's velocity, in n, m/s."""
     hard_iron: Annotated[Vector, 3]
     """The vehicle's own magnetic field, b, gauss."""
-
+    gnss_vel_offset: Annotated[Vector, 3]
+    """Slow error of the receiver's velocity, in n, m/s."""
+    P: Annotated[Vector, N, N]
+    """Covariance of the error states, E_ATT to E_GNSS_VEL."""
+    pending: Pending
     gyro: Annotated[Vector, 3]
     """Of the last inertial sample, rad/s."""
     accel: Annotated[Vector, 3]
     """Of the last inertial sample, m/s^2."""
+    accel_n: Annotated[Vector, 3]
+    """Acceleration in n, smoothed over some samples, m/s^2."""
     dt: Real
     """Usual interval between inertial samples, s."""
-    origin: Origin
-    field: Field
+    noise: Annotated[Vector, 6]
+    """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
+    white_share: Annotated[Vector, RUNS]
+    """Learnt share of the receiver's stated variances that is white, by aid."""
     has_yaw: Real
     has_baro: Real
+    needs_reset: Real
+    """:class:`NeedsReset`."""
+
+
+class Evidence:
+    """What decisions depend on: times, counts, and what the sources have said of each other."""
+
+    t: Real
+    """Of validity, ns."""
+    mode: Real
+    """:class:`Mode`."""
+    first_delay: Real
+    """First guess of it, s: from what the autopilot tells."""
+    first_delay_var: Real
+    """Variance of that, s^2; 0: as configured."""
+    origin: Origin
+    field: Field
     resets: Real
     reset_reason: Real
     """:class:`Reset`."""
@@ -521,10 +537,6 @@ class State:
     moved: Moved
     samples: Real
     """Inertial ones so far."""
-    needs_reset: Real
-    """:class:`NeedsReset`."""
-    accel_n: Annotated[Vector, 3]
-    """Acceleration in n, smoothed over some samples, m/s^2."""
     past: Past
     gain: Gain
     lever: Lever
@@ -604,10 +616,7 @@ class State:
     """:class:`Azimuth` in use; 0: none."""
     heading_std: Real
     """One sigma of its slow error, rad."""
-    noise: Annotated[Vector, 6]
-    """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
     noise_block: NoiseBlock
-    pending: Pending
     slow_dt: Real
     """Time since the slow errors of heading and GNSS were carried on, s."""
     walk: Walk
@@ -665,8 +674,6 @@ class State:
     """Likewise of a change of the vertical velocity alone: 1 a fall, -1 a rise, 0 none."""
     fall_gap: Real
     """What its vertical velocity gained lately beyond what the samples felt, m/s."""
-    white_share: Annotated[Vector, RUNS]
-    """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_vel_offset_var: Real
     """Variance that the slow error of the velocity has in the long run, (m/s)^2."""
     gnss_offset_var: Annotated[Vector, 2]
@@ -688,8 +695,13 @@ class State:
     yaw_bank: YawBank
     redrawn: Annotated[Vector, N]
     """How often each error state was given a new variance, uncorrelated with the others."""
-    P: Annotated[Vector, N, N]
-    """Covariance of the error states, E_ATT to E_GNSS_VEL."""
+
+
+@struct
+class State(Estimated, Evidence):
+    """Everything that the filter estimates and decides by."""
 
 
 BLOCK = doubles(State)
+ESTIMATED = doubles(struct(Estimated))
+"""Numbers of a state that are estimated, the first of its block."""

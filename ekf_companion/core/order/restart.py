@@ -7,7 +7,7 @@ from cython.cimports.ekf_companion.core.aids import lever_arm, wind
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
 from cython.cimports.ekf_companion.core.aids.rest import begin_window
 from cython.cimports.ekf_companion.core.filter import past
-from cython.cimports.ekf_companion.core.filter.slow_error import clear_covariance, copy_covariance
+from cython.cimports.ekf_companion.core.filter.slow_error import copy_covariance
 from cython.cimports.ekf_companion.core.filter.strapdown import forget_pending
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -21,6 +21,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     RUNS,
     N,
 )
+from cython.cimports.ekf_companion.core.memory.overlay import clear_estimated
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order.interval import inflate_after_gap
@@ -135,32 +136,9 @@ def recover(x: State, k: Parameters, good: State, t: float) -> None:
 
 def start_over(x: State, t: float, reason: float) -> None:
     """Discard an unsound state and level again; keep the origin and the counts."""
-    forget_pending(x)
-    for i in range(4):
-        x.q_nb[i] = 0.0
-    for i in range(3):
-        x.vel_n[i] = 0.0
-        x.pos_n[i] = 0.0
-        x.gyro_bias[i] = 0.0
-        x.accel_bias[i] = 0.0
-        x.gnss_offset[i] = 0.0
-        x.gnss_vel_offset[i] = 0.0
-        x.hard_iron[i] = 0.0
-        x.gyro[i] = 0.0
-        x.accel[i] = 0.0
-        x.accel_n[i] = 0.0
-        x.white_share[i] = 0.0
-    for i in range(6):
-        x.noise[i] = 0.0
-    clear_covariance(x)
-    x.baro_offset = 0.0
+    clear_estimated(x)
     x.gnss_delay = x.first_delay
     x.gain.shown = 0.0
-    x.heading_offset = 0.0
-    x.dt = 0.0
-    x.has_yaw = 0.0
-    x.has_baro = 0.0
-    x.needs_reset = 0.0
     x.alignment.motion.has_fix = 0.0
     x.alignment.reference.is_known = 0.0
     x.resets += 1.0
