@@ -69,7 +69,7 @@ def run(command, log, out, before=None, stdout=subprocess.PIPE):
 
 
 def check(done, words):
-    """Check for one sentence, and the exit code of README: sim-autopilot has but one."""
+    """Check for one sentence, and the exit code of docs/COMMANDS.md: sim-autopilot has only one."""
     text = " ".join(done.stderr.split())
     assert "Traceback" not in text, done.stderr
     assert words in text, done.stderr
