@@ -173,7 +173,7 @@ site: $(STAMP)
 	cp -R README.md CHANGELOG.md LICENSE docs config $(PAGES)
 	cp --parents $$(grep -rohE '\]\((\.\./)+(ekf_companion|sim_autopilot|systemd|tests|benchmarks)/[^)#]*' \
 		--include=*.md docs | sed 's/.*\.\.\///' | sort -u) $(PAGES)
-	printf '\n```{toctree}\n:hidden:\n:glob:\n\ndocs/*\ndocs/filters/*\nCHANGELOG\n```\n' >> $(PAGES)/README.md
+	printf '\n```{toctree}\n:hidden:\n:glob:\n\ndocs/*\ndocs/accuracy/*\ndocs/filters/*\nCHANGELOG\n```\n' >> $(PAGES)/README.md
 	$(BIN)/sphinx-build -q -W --keep-going -b html -c docs $(PAGES) build/site
 	cp build/site/README.html build/site/index.html
 

@@ -1,7 +1,7 @@
 """What the project measures of itself; none of it is a test.
 
 speed        how long things take on this machine: ``make bench``
-accuracy     how good the estimate is, the tables of docs/ACCURACY.md: ``make accuracy``
+accuracy     how good the estimate is, the tables of docs/accuracy: ``make accuracy``
 filters      how the other filters compare, the tables of docs/FILTERS.md: ``make filters``
 reliability  what it withstands, the tables of docs/RELIABILITY.md: ``make soak``, ``make fuzz``,
              ``make endurance``

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.document import insert, table
+from benchmarks.document import table, write
 from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
@@ -288,8 +288,7 @@ def main() -> None:
         for line in lines:
             print(line, flush=True)
         return
-    text = asked.write.read_text(encoding="utf-8")
-    asked.write.write_text(insert(text, "links", "\n".join(lines)), encoding="utf-8")
+    write(asked.write, "links", "\n".join(lines))
 
 
 if __name__ == "__main__":
