@@ -39,7 +39,7 @@ PATIENCE = 2.0
 
 
 class Received(NamedTuple):
-    """The result of one read."""
+    """Bytes of one read, their sender and time of arrival."""
 
     data: bytes
     now_ns: int

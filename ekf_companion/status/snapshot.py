@@ -326,7 +326,7 @@ class ReloadState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """All of it, at one moment."""
+    """State of the whole daemon at one moment."""
 
     unix_ns: int
     """When, unix time, ns."""
