@@ -1,4 +1,4 @@
-"""Sections of the configuration that are the service's: who we are, what we send, what we keep."""
+"""Sections of the configuration of the service: link, outputs, recordings, checkpoints."""
 
 from __future__ import annotations
 
