@@ -1,4 +1,4 @@
-"""Observability in sentences: when each state becomes observable, and what was lacking until then.
+"""Observability in sentences: when each state becomes observable, and what was missing before.
 
 Statements on the motion are measured: turns, changes of tilt and accelerations with their times.
 That a state needs motion is measured too: the same aids at rest do not make it observable.

@@ -30,9 +30,9 @@ PERIOD = 1.0
 NOT_OK, NO_DAEMON = 1, 4
 """Exit codes."""
 _HOST_AND_PORT = re.compile(r"([\w.-]+|\[[0-9a-fA-F:.]+\]):\d+")
-"""Begin of an address without ``http://``."""
+"""Start of an address without ``http://``."""
 _LINKS = ("serial:", "udpin:", "udpout:", "udpbcast:", "udp:", "tcp:", "tcpin:", "/dev/")
-"""How links begin."""
+"""Prefixes of links."""
 _FOREIGN = "{}: what answers is no ekf-companion; name its address with --url"
 
 
