@@ -32,7 +32,7 @@ _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")
 _REFUSED = {
     Verdict.GATED: "refused by gates, per second",
-    Verdict.SUSPECT: "not used as the receiver doubts itself, per second",
+    Verdict.SUSPECT: "not used: the receiver reports interference, per second",
     Verdict.DISTURBED: "not used as the magnetic field is disturbed, per second",
     Verdict.DENIED: "within their gates and contradicted by other evidence, per second",
 }

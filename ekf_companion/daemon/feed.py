@@ -103,7 +103,7 @@ class Feed:
             try:
                 messages = self._make(count % SLOW_EVERY == 0)
             except Exception:  # noqa: BLE001  # a bug here must not end a flight
-                _log.exception("The page cannot be told the state")
+                _log.exception("The state cannot be sent to the page")
                 messages = {}
             with self._changed:
                 if self._is_over or not self._viewers:

@@ -107,7 +107,7 @@ class Monitors:
             return False
         if not self._has_complained:
             _log.warning(
-                "output.monitors: the autopilot speaks from %s, so nothing is sent there; "
+                "output.monitors: the autopilot sends from %s, so nothing is sent there; "
                 "leave it out",
                 address,
             )

@@ -36,7 +36,9 @@ def diagnose_running(status: Data) -> list[StageResult]:
     for stage in Stage:
         judge = _JUDGES.get(stage)
         if judge is None or is_hidden:
-            words = NOT_REACHED if is_hidden else "not told by a daemon: --link or --log tells it"
+            words = (
+                NOT_REACHED if is_hidden else "not in a daemon's status: --link or --log shows it"
+            )
             results.append(unknown(stage, words))
             continue
         saw, problems = judge(status)

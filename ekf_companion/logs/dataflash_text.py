@@ -25,8 +25,8 @@ def text_of(tables: Columns, message_ns: Stamps) -> Onboard:
     stamps = (message_ns if own_ns is None else own_ns).tolist()
     stamps += [None] * (len(rows) - len(stamps))
     # ArduPilot's rows have no severity
-    told = [
+    lines = [
         Message(t_ns, "", clean(text))
         for t_ns, text in zip(stamps, rows["Message"][:MOST].tolist(), strict=False)
     ]
-    return onboard(told, parameters(tables), left_out=max(len(rows) - MOST, 0))
+    return onboard(lines, parameters(tables), left_out=max(len(rows) - MOST, 0))

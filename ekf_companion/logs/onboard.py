@@ -73,12 +73,12 @@ def onboard(
 
     Without a ``firmware`` the one that a message names is taken.
     """
-    told = [one for one in messages if one.text]
-    firmware = firmware or next((one.text for one in told if FIRMWARE.match(one.text)), "")
+    kept = [one for one in messages if one.text]
+    firmware = firmware or next((one.text for one in kept if FIRMWARE.match(one.text)), "")
     named = {name: value for name, value in parameters.items() if name}
     return Onboard(
         firmware=clean(firmware),
         parameters=dict(list(named.items())[:MOST_PARAMETERS]),
-        messages=tuple(told[:MOST]),
-        left_out=left_out + max(len(told) - MOST, 0),
+        messages=tuple(kept[:MOST]),
+        left_out=left_out + max(len(kept) - MOST, 0),
     )

@@ -236,10 +236,10 @@ def _unzstd(path: Path, file: BinaryIO) -> Iterator[bytes]:
     with part_of("formats", f"{path}: unpack it (unzstd), or"):
         import zstandard
     unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW)
-    size = told = 0
+    size = stated = 0
     try:
         if file.seekable():
-            told = zstandard.get_frame_parameters(file.read(HEADER)).content_size
+            stated = zstandard.get_frame_parameters(file.read(HEADER)).content_size
             file.seek(0)
         reader = unpacker.stream_reader(file, read_across_frames=True, closefd=False)
         while block := reader.read(BLOCK >> 4):  # what is damaged takes as much with it
@@ -247,5 +247,5 @@ def _unzstd(path: Path, file: BinaryIO) -> Iterator[bytes]:
             yield block
     except zstandard.ZstdError:
         raise EOFError("is damaged") from None
-    if size < told != zstandard.CONTENTSIZE_UNKNOWN:
+    if size < stated != zstandard.CONTENTSIZE_UNKNOWN:
         raise EOFError("is cut short")

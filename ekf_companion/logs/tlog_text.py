@@ -76,5 +76,5 @@ def _messages(log: Tlog, of: Autopilot, rows: Column | None) -> tuple[list[Messa
             stamp_ns = int(stamp) if is_known else None
             found.append((stamp_ns, level_of(int(row["severity"])), bytes(row["text"])))
         last = number, part
-    told = [Message(stamp_ns, level, clean(text)) for stamp_ns, level, text in found]
-    return told, len(rows) - len(kept)
+    lines = [Message(stamp_ns, level, clean(text)) for stamp_ns, level, text in found]
+    return lines, len(rows) - len(kept)

@@ -225,9 +225,11 @@ class VehicleState:
     def row(self) -> Row:
         """Return [armed, landed, whether the delay is reported, delay]; NaN: not known."""
         landed = None if self.is_landed is None else float(self.is_landed)
-        told = self.gnss_delay is not None
+        is_reported = self.gnss_delay is not None
         delay = self.gnss_delay or 0.0
-        return _row(self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(told), delay)
+        return _row(
+            self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(is_reported), delay
+        )
 
 
 Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSample | VehicleState

@@ -151,7 +151,7 @@ def _refuse(one: _Watched, why: Verdict, now_ns: int) -> None:
     """Note that an aid was refused; of a compass, log where that begins."""
     is_first = one.refused_ns is None or now_ns - one.refused_ns > PAUSE_NS
     if why is Verdict.DISTURBED and (is_first or one.why != _WHY[why]):
-        _log.info("Compass refused, now or now and then: %s; counted as disturbed", _WHY[why])
+        _log.info("Compass refused, always or at times: %s; counted as disturbed", _WHY[why])
     one.refused_ns, one.why = now_ns, _WHY[why]
 
 

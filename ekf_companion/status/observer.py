@@ -284,7 +284,7 @@ class Observer:
             return judge(self.snapshot(Host())).line
         except Exception:  # noqa: BLE001  # as for a page
             if not self._has_complained:
-                _log.exception("The service manager cannot be told the state")
+                _log.exception("The state cannot be sent to the service manager")
             self._has_complained = True
             return ""
 

@@ -29,7 +29,7 @@ class Past:
             text = make()
         except Exception:  # noqa: BLE001  # a bug in what a page shows must not end a flight
             if not self._has_complained:
-                _log.exception("The page cannot be told the past")
+                _log.exception("The past cannot be sent to the page")
             self._has_complained, text = True, b"null"
         self._kept.append((now_ns, text))
 
