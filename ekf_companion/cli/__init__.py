@@ -34,7 +34,7 @@ COMMANDS = {
     "status": _Entry(
         "status",
         "status",
-        "Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer.",
+        "Show the daemon's state. Exit code: 0 ok, 1 no current estimate or invalid, 4 no answer.",
     ),
     "preflight": _Entry(
         "preflight",

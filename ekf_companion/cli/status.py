@@ -58,7 +58,7 @@ def status(
         bool, typer.Option("--brief", help="Only the verdicts, the vehicle and its aids: 80 x 24.")
     ] = False,
 ) -> None:
-    """Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer."""
+    """Show the daemon's state. Exit code: 0 ok, 1 no current estimate or invalid, 4 no answer."""
     if watch:
         answer = _watch(url, as_json, is_brief=brief)
     else:
