@@ -64,12 +64,13 @@ explore: $(STAMP)
 
 # What is written from the code: config/reference.yaml, from the fields of the settings; the table
 # of MAVLink's messages; the man page and the completions of shells, from the commands;
-# the notebook with what its cells print and draw
+# the notebook with what its cells print and draw; the picture of the flow of data
 reference: $(STAMP)
 	$(BIN)/python -m tests.reference
 	$(BIN)/python -m tests.definitions
 	$(BIN)/python -m tests.manual
 	$(BIN)/python -m tests.notebook
+	$(BIN)/python -m tests.flow
 
 # Versions and hashes of what `make install` installs, for all Pythons and processors; keeps the
 # versions that are there, unless UPGRADE=--upgrade
@@ -173,7 +174,7 @@ site: $(STAMP)
 	cp -R README.md CHANGELOG.md LICENSE docs config $(PAGES)
 	cp --parents $$(grep -rohE '\]\((\.\./)+(ekf_companion|sim_autopilot|systemd|tests|benchmarks)/[^)#]*' \
 		--include=*.md docs | sed 's/.*\.\.\///' | sort -u) $(PAGES)
-	printf '\n```{toctree}\n:hidden:\n:glob:\n\ndocs/*\ndocs/filters/*\nCHANGELOG\n```\n' >> $(PAGES)/README.md
+	printf '\n```{toctree}\n:hidden:\n:glob:\n\ndocs/*\ndocs/accuracy/*\ndocs/filters/*\nCHANGELOG\n```\n' >> $(PAGES)/README.md
 	$(BIN)/sphinx-build -q -W --keep-going -b html -c docs $(PAGES) build/site
 	cp build/site/README.html build/site/index.html
 

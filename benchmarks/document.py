@@ -45,11 +45,21 @@ def insert(text: str, name: str, lines: str) -> str:
     return marks.sub(lambda match: f"{match[1]}{lines}\n{match[2]}", text)
 
 
+def write(path: Path, name: str, lines: str) -> None:
+    """Put lines between the marks of a document, or of those in a folder that have them."""
+    for page in sorted(path.glob("*.md")) if path.is_dir() else [path]:
+        before = page.read_text(encoding="utf-8")
+        if (after := insert(before, name, lines)) != before:
+            page.write_text(after, encoding="utf-8")
+
+
 def main(description: str | None, parts: Mapping[str, Part]) -> None:
-    """Print the parts that are asked for, or write them into a document."""
+    """Print the parts that are asked for, or write them into documents."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--data", type=Path, default=DATA, help="the recorded flights")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="a document with marks")
+    parser.add_argument(
+        "--write", type=Path, metavar="PATH", help="a document with marks, or a folder"
+    )
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=parts, default=list(parts))
     parser.add_argument("--runs", type=int, help="simulated flights of each kind")
     asked = parser.parse_args()
@@ -60,5 +70,4 @@ def main(description: str | None, parts: Mapping[str, Part]) -> None:
         if asked.write is None:
             print(f"\n## {name}\n\n{lines}")
         elif lines.count("\n") > 1:
-            text = asked.write.read_text(encoding="utf-8")
-            asked.write.write_text(insert(text, name, lines), encoding="utf-8")
+            write(asked.write, name, lines)

@@ -1,4 +1,4 @@
-"""What the samples at both ends of a gap tell of the motion in it, in recorded flights."""
+"""What the samples at both ends of a gap show of the motion in it, in recorded flights."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 The last commit is checked out and built below ``build/sensitivity``; there one constant after the
 other is changed, and the flights of ``make truth`` are judged: the hardest third of its cases, by
 the share of the time that is ok. Each row has the seconds of lies, the share of ok and the
-horizontal RMS error, with the constants as they are and one of them smaller or larger. What changes
-nothing is perhaps not needed; what changes much wants a source.
+horizontal RMS error, with the constants as they are and with one of them smaller or larger. A
+constant without effect may be superfluous; one with a large effect needs a source.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ HEAD = "constant | value | lies, s | ok | horizontal, m"
 
 
 class Score(NamedTuple):
-    """What several flights gave."""
+    """Results of several flights."""
 
     lies: float
     """s."""
@@ -43,7 +43,7 @@ class Score(NamedTuple):
 
 
 def score(outcomes: Sequence[Outcome]) -> Score:
-    """Return what flights gave; one that failed lies for ever."""
+    """Return the result of flights; one that failed lies for ever."""
     verdicts = [one.verdict for one in outcomes if one.verdict is not None]
     if len(verdicts) < len(outcomes) or not verdicts:
         return Score(np.inf, 0.0, np.inf)
@@ -56,7 +56,7 @@ def score(outcomes: Sequence[Outcome]) -> Score:
 
 
 def constants(source: str) -> Iterator[tuple[str, str]]:
-    """Yield name and value of the constants that a number can be moved of."""
+    """Yield name and value of the constants that are numbers."""
     for name, value in CONSTANT.findall(source):
         if re.search(r"[1-9]", value):  # zero and NaN stay what they are
             yield name, value

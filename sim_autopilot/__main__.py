@@ -223,7 +223,7 @@ def demo(
             duration=duration,
             seed=seed,
             daemon_config=daemon_config,
-            tell=lambda words: _errors.print(words, highlight=False),
+            on_progress=lambda words: _errors.print(words, highlight=False),
         )
     _report(score, demonstration.LIMITS)
     for file in files:

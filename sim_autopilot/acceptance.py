@@ -1,8 +1,8 @@
-"""What each autopilot does with an ODOMETRY message: does it accept it, what does it fuse, why not.
+"""Rules by which each autopilot accepts an ODOMETRY message, and which parts of it are fused.
 
 The rules of the receivers and of the filters behind them, as pure functions of a message, the
-autopilot's parameters and the messages before: an oracle for tests, and an answer to why nothing
-is fused. Innovation gates are left out: they depend on the flight, not on the message.
+autopilot's parameters and the messages before: an oracle for tests, and an answer to why nothing is
+fused. Innovation gates are left out: they depend on the flight, not on the message.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What an autopilot makes of the stamp of a message from another computer.
+"""How an autopilot uses the stamp of a message from another computer.
 
-ArduPilot asks no clock: it takes the least delay between stamp and arrival in the last hundred
-messages for none, so that a constant delay of the link goes unnoticed (``JitterCorrection``), and a
-message older than half a second beside that for half a second old. PX4 learns the other's clock by
-TIMESYNC, and until then takes the arrival (``MavlinkTimesync::sync_stamp``).
+ArduPilot compares no clocks: it takes the least delay between stamp and arrival in the last hundred
+messages as zero, so that a constant delay of the link goes unnoticed (``JitterCorrection``), and
+limits the delay beyond that to half a second. PX4 learns the other's clock by TIMESYNC, and until
+then takes the time of arrival (``MavlinkTimesync::sync_stamp``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Arrival(Protocol):
 
 
 class LeastDelay:
-    """ArduPilot's: one for each link, whatever computers speak there."""
+    """ArduPilot's rule: one instance per link, whichever computers send there."""
 
     def __init__(self) -> None:
         self._offset_us: int | None = None
@@ -36,7 +36,7 @@ class LeastDelay:
         self._count = 0
 
     def stamp_us(self, stamp_us: int, now_us: int) -> int:
-        """Return the stamp by the least delay lately."""
+        """Return the stamp corrected by the least recent delay."""
         apart = now_us - stamp_us
         if self._offset_us is None or apart < self._offset_us:
             self._offset_us = apart
@@ -52,7 +52,7 @@ class LeastDelay:
 
 
 class Timesync:
-    """PX4's: one for each link, fed by every answer."""
+    """PX4's rule: one instance per link, updated by every answer."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -68,5 +68,5 @@ class Timesync:
         self.count += 1
 
     def stamp_us(self, stamp_us: int, now_us: int) -> int:
-        """Return the stamp by the learnt clock; the arrival while it is not learnt."""
+        """Return the stamp by the learnt clock; the time of arrival until it is learnt."""
         return round(stamp_us + self._offset_us) if self.count >= _CONVERGED else now_us

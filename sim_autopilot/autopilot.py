@@ -36,13 +36,13 @@ _STANDBY, _ACTIVE = 3, 4
 _CRITICAL, _INFO = 2, 6
 _PLACES = ("GLOBAL_POSITION_INT", "GPS_GLOBAL_ORIGIN")
 _OWN = ("GPS_GLOBAL_ORIGIN", "HOME_POSITION", "EKF_STATUS_REPORT")
-"""Of an autopilot that navigates by itself: sent only on request."""
+"""Messages of an autopilot that navigates by itself: sent only on request."""
 _GCS_NS = 10_000_000_000
-"""Between two requests of a ground station for its rates."""
+"""Time between two requests of a ground station for its rates."""
 
 
 class Received(NamedTuple):
-    """A message that another component sent."""
+    """A message of another component."""
 
     now_ns: int
     component_id: int
@@ -190,7 +190,7 @@ class Autopilot:
 
     @property
     def _fuses_gnss(self) -> bool:
-        """Whether its filter takes the receiver's positions, or is not PX4's."""
+        """Whether its filter fuses the receiver's positions, or is not PX4's."""
         return bool(int(self.parameters.get("EKF2_GPS_CTRL", 1)))
 
     def _stream(self, name: str, cycle: Cycle) -> None:
@@ -267,7 +267,7 @@ class Autopilot:
             self.navigator.vision(vision, stamp_us * 1e-6)
 
     def _speak(self) -> None:
-        """Send the pilot what the navigator has to say, and a new origin to all."""
+        """Send the navigator's texts to the pilot, and a new origin to everybody."""
         if (own := self.navigator) is None:
             return
         for text in own.texts():

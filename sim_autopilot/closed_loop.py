@@ -1,8 +1,8 @@
-"""A vehicle that flies by what a companion says, without a socket and without a clock.
+"""A vehicle that flies on a companion's ODOMETRY, without a socket and without a clock.
 
 The autopilot's filter (:mod:`sim_autopilot.ekf3`, :mod:`sim_autopilot.ekf2`) takes ODOMETRY over a
-link as slow as is wanted, a controller flies by its estimate, and the vehicle really moves: what is
-scored is where it is on the Earth. The same seed gives the same flight.
+link as slow as is wanted, a controller flies by its estimate, and the vehicle really moves: the
+score is by its true position. The same seed gives the same flight.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from sim_autopilot.vehicle import Cold, Senses, Vehicle
 
 _TICK_NS = 50_000_000
 _CONTROL = 0.032
-"""s, between two looks of the controller at the estimate."""
+"""Period of the controller, s."""
 _COMPASS_STD = 0.05
-"""rad; of the heading that its filter makes of the field."""
+"""One sigma of the heading that its filter derives from the field, rad."""
 _FORWARDED_NS = 1_000_000
 _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
 SETS: dict[Kind, dict[str, float]] = {
@@ -52,21 +52,22 @@ SETS: dict[Kind, dict[str, float]] = {
     },
     Kind.PX4: {"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 0.0, "EKF2_GPS_DELAY": 110.0},
 }
-"""Parameters of an ArduPilot whose source set 2 is ODOMETRY, of a PX4 that flies on it alone."""
+"""Parameters of an ArduPilot whose source set 2 is ODOMETRY, and of a PX4 that flies on it
+alone."""
 
 
 class Row(NamedTuple):
-    """What is kept of each look of the controller."""
+    """Record of one period of the controller."""
 
     t: float
     """Since the start, s."""
     true_n: tuple[float, float, float]
-    """Where the vehicle is: of the place where it started, on the Earth, m."""
+    """True position from the start, m."""
     said_n: tuple[float, float, float]
-    """Where the autopilot says that it is, by latitude, longitude, altitude, likewise; NaN: it does
-    not know."""
+    """Position that the autopilot reports, by latitude, longitude, altitude, likewise; NaN: not
+    known."""
     speed: float
-    """In truth, m/s."""
+    """True speed, m/s."""
 
 
 class Heard(NamedTuple):
@@ -155,7 +156,7 @@ class ClosedLoop:
     def connect(
         self, peer: Peer, up: Way | None = None, down: Way | None = None, offset_ns: int = 0
     ) -> Connection:
-        """Plug a computer in."""
+        """Connect a computer."""
         seed = self._seed * 1000 + 2 * len(self.connections)
         up_line = Line(up or Way(), seed, self.now_ns)
         down_line = Line(down or Way(), seed + 1, self.now_ns)
@@ -164,7 +165,7 @@ class ClosedLoop:
         return made
 
     def disconnect(self, connection: Connection) -> None:
-        """Pull a computer out, with all that was on its line."""
+        """Disconnect a computer, with all that was on its line."""
         self.connections.remove(connection)
 
     def switch(self, number: int) -> None:
@@ -178,7 +179,7 @@ class ClosedLoop:
             self._step()
 
     def run_until(self, is_done: Callable[[], bool], limit: float) -> bool:
-        """Fly on until something is so; return whether it was before the limit, s."""
+        """Fly on until a condition holds; return whether it did before the limit, s."""
         until = self.t + limit
         while self.t < until:
             if is_done():
@@ -269,7 +270,7 @@ class ClosedLoop:
     # The links
 
     def _send(self, now_ns: int, component_id: int) -> None:
-        """Let the autopilot's frames go to all computers."""
+        """Send the autopilot's frames to all computers."""
         for data in self.autopilot.data_to_send():
             for connection in self.connections:
                 connection.down.push(now_ns, data)
@@ -296,7 +297,7 @@ class ClosedLoop:
             connection.up.push(now_ns, data)
 
     def _forward(self, sender: Connection, data: bytes, now_ns: int) -> None:
-        """Pass on what is for everybody, as an autopilot does from one port to the others."""
+        """Forward broadcasts from one port to the others, as an autopilot does."""
         if len(self.connections) < 2:
             return
         for frame in sender.splitter.feed(data):
@@ -306,7 +307,7 @@ class ClosedLoop:
                         other.down.push(now_ns + _FORWARDED_NS, frame.raw)
 
     def _listen(self, data: bytes, component_id: int, now_ns: int) -> None:
-        """Keep the texts and ODOMETRY that somebody sends."""
+        """Record texts and ODOMETRY."""
         for frame in Splitter().feed(data):
             name = LAYOUTS[frame.message_id].name if frame.message_id in LAYOUTS else ""
             if name == "STATUSTEXT":
@@ -319,15 +320,15 @@ class ClosedLoop:
     # Scores
 
     def true_n(self, begin: float = 0.0, end: float = 1e9) -> Array:
-        """Return where the vehicle was in some seconds, shape (n, 3), m."""
+        """Return the true positions in a range of seconds, shape (n, 3), m."""
         return np.array([row.true_n for row in self.rows if begin <= row.t <= end])
 
     def moved(self, begin: float, end: float | None = None) -> Array:
-        """Return the largest way in truth from where it was at a time, by axis, m."""
+        """Return the largest true distance from the position at a time, by axis, m."""
         way = self.true_n(begin, self.t if end is None else end)
         return np.asarray(np.abs(way - way[0]).max(axis=0))
 
     def said_error(self, begin: float = 0.0, end: float = 1e9) -> Array:
-        """Return where the autopilot says that it is, less the truth, shape (n, 3), m."""
+        """Return reported less true positions, shape (n, 3), m."""
         rows = [row for row in self.rows if begin <= row.t <= end]
         return np.array([np.subtract(row.said_n, row.true_n) for row in rows])

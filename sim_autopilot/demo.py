@@ -33,7 +33,7 @@ LIMITS = {
 _START = 15.0
 """Longest time to the daemon's first answer, s."""
 _NEWS = 4.0
-"""Seconds between two lines of progress: less than the five in which somebody begins to doubt."""
+"""Seconds between two lines of progress: less than the five after which a user wonders."""
 _STOP = 5.0
 """Longest time to its end, s."""
 
@@ -44,16 +44,16 @@ def fly(
     duration: float,
     seed: int,
     daemon_config: Path | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Fly figure-eight against the daemon; return the score, and the files that were written.
 
-    ``tell`` is called with what is going on, every four seconds or more often.
+    ``on_progress`` is called with the present task, every four seconds or more often.
 
     Raises:
         CompanionError: The daemon did not start or never answered.
     """
-    tell("planning the flight")
+    on_progress("planning the flight")
     out.mkdir(parents=True, exist_ok=True)
     flight = Flight.plan("figure-eight", SimConfig(), seed=seed, duration=duration)
     write_truth(out / "truth.csv", flight)
@@ -62,7 +62,7 @@ def fly(
         port = probe.getsockname()[1]
 
     async def body(link: Link) -> Flown:
-        news = asyncio.create_task(_tell_time(duration, tell))
+        news = asyncio.create_task(_report_time(duration, on_progress))
         try:
             return await fly_over(flight, link, wait=_START)
         finally:
@@ -70,24 +70,24 @@ def fly(
 
     with _daemon(daemon_config, port, out / "daemon.log"):
         flown = run(over(f"udpout:127.0.0.1:{port}", body))
-    tell("comparing with the truth")
+    on_progress("comparing with the truth")
     score = flown.witness.score()
     score["pacing_late_ms"] = flown.pace.lateness()
     write_score(out / "score.json", score)
     files = [out / "score.json", out / "truth.csv", out / "daemon.log"]
-    tell("drawing the figure")
+    on_progress("drawing the figure")
     with contextlib.suppress(ImportError):
         figure.draw(out / "demo.png", flight, flown.witness, score)
         files.insert(0, out / "demo.png")
     return score, files
 
 
-async def _tell_time(duration: float, tell: Callable[[str], None]) -> None:
+async def _report_time(duration: float, on_progress: Callable[[str], None]) -> None:
     begin = asyncio.get_running_loop().time()
-    tell(f"flying for {duration:g} s, in real time, over UDP")
+    on_progress(f"flying for {duration:g} s, in real time, over UDP")
     while True:
         await asyncio.sleep(_NEWS)
-        tell(f"flying, {asyncio.get_running_loop().time() - begin:.0f} of {duration:g} s")
+        on_progress(f"flying, {asyncio.get_running_loop().time() - begin:.0f} of {duration:g} s")
 
 
 def complaints(score: dict[str, Any], log: Path) -> list[str]:

@@ -1,8 +1,8 @@
-"""PX4's EKF2 as a follower: it keeps the offset of ODOMETRY's frame to its own.
+"""PX4's EKF2 as a follower: it estimates the offset of ODOMETRY's frame to its own.
 
 With a receiver the offset is learnt at the beginning and at each reset, and the estimate stays
-where it is; without, it goes where ODOMETRY says. An origin that comes while positions of ODOMETRY
-are fused, and there was none, leaves it 5300 km off (PX4 1.18).
+where it is; without one, the estimate jumps to ODOMETRY. An origin that comes while positions of
+ODOMETRY are fused, and there was none before, leaves it 5300 km off (PX4 1.18).
 
 Sources: ``ev_pos_control.cpp``, ``Ekf::setLatLonOrigin``, ``resetHorizontalPositionTo``,
 ``gps_checks.cpp``, ``mavlink_timesync.cpp``.
@@ -31,7 +31,7 @@ _FRESH = 0.5
 
 
 class Ekf2(Navigator):
-    """PX4's."""
+    """PX4's filter."""
 
     kind = Kind.PX4
 
@@ -55,7 +55,7 @@ class Ekf2(Navigator):
         return bool(is_on) and self._horizon_t - self._fixed_t < 2.0
 
     def set_origin(self, lat: float, lon: float, alt: float) -> bool:
-        """Take an origin: the first while positions are fused is not where it is given."""
+        """Take an origin; the first one while positions are fused ends up elsewhere."""
         is_fused = self._is_fusing and not self.has_reference
         if self.origin is None and is_fused:
             self.misplaced += 1
@@ -65,7 +65,7 @@ class Ekf2(Navigator):
         return True
 
     def odometry(self, m: Any, stamp: float | None = None) -> None:
-        """Take an ODOMETRY message by the stamp that its arrival gave it."""
+        """Fuse an ODOMETRY message by the stamp assigned at its arrival."""
         if self.is_external:
             super().odometry(m, stamp)
 
@@ -107,7 +107,7 @@ class Ekf2(Navigator):
     # Its own sensors
 
     def heading(self, t: float, yaw: float, std: float) -> None:
-        """Take a heading of the compass, which counts until ODOMETRY gives one."""
+        """Fuse a heading of the compass, which is used until ODOMETRY has one."""
         is_external = self._is_fusing and int(self.parameters.get("EKF2_EV_CTRL", 0)) & _YAW
         if not is_external or self.has_reference:
             super().heading(max(t, self._horizon_t), yaw, std)

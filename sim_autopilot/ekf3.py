@@ -33,7 +33,7 @@ _ALL_VELOCITIES = 1
 """Of EK3_SRC_OPTIONS."""
 _NE, _D, _VNE, _VD = [6, 7], [8], [3, 4], [5]
 _FRESH = 0.5
-"""s; an older ODOMETRY is no source of height any longer."""
+"""Age, s, beyond which an ODOMETRY is no longer a source of height."""
 _VELOCITY_RETRY, _STOP = 10.0, 15.0
 """s: without an accepted velocity it is reset; without any aid it holds its position
 (``tiltDriftTimeMax_ms``)."""
@@ -52,7 +52,7 @@ _FLAGS_HELD, _FLAGS_AIDED = 1 | 4 | 32 | 128, 1 | 2 | 4 | 8 | 16 | 32 | 256 | 51
 
 
 class Ekf3(Navigator):
-    """ArduPilot's."""
+    """ArduPilot's filter."""
 
     kind = Kind.ARDUPILOT
 
@@ -102,7 +102,7 @@ class Ekf3(Navigator):
             return False
         self.origin = LocalFrame(kind=self.kind, lat=lat, lon=lon, alt=alt)
         self.is_origin_new = True
-        self.tell(INFO, "EKF3 IMU0 origin set")
+        self.send_text(INFO, "EKF3 IMU0 origin set")
         return True
 
     # Its own sensors
@@ -145,7 +145,7 @@ class Ekf3(Navigator):
     # ODOMETRY and its like
 
     def odometry(self, m: Any, stamp: float | None = None) -> None:
-        """Take an ODOMETRY message by the stamp that its arrival gave it."""
+        """Fuse an ODOMETRY message by the stamp assigned at its arrival."""
         c = m.pose_covariance
         place = 0.0 if math.isnan(c[0]) else math.sqrt(max(c[0] + c[6] + c[11], 0.0))
         turn = 0.0 if math.isnan(c[0]) else math.sqrt(max(c[15] + c[18] + c[20], 0.0))
@@ -204,7 +204,7 @@ class Ekf3(Navigator):
             first = np.zeros(3) if vel_n is None else vel_n
             self._begin("EKF3 IMU0 is using external nav data", pos_n, place**2, first, speed)
             said = ",".join(f"{value:3.1f}" for value in pos_n)
-            self.tell(INFO, f"EKF3 IMU0 initial pos NED = {said} (m)")
+            self.send_text(INFO, f"EKF3 IMU0 initial pos NED = {said} (m)")
             self._set(_D, pos_n[2:], place**2)
             self._height_source = EXTERNAL if self._wants("POSZ") == EXTERNAL else BARO
         if vel_n is not None and self.is_aided and self._is_fused("VELXY", EXTERNAL):
@@ -227,11 +227,11 @@ class Ekf3(Navigator):
         last = max(self._passed["position"], self._passed["velocity"])
         if one.t - last > _STOP:
             self.is_aided, self._held_n = False, self.pos_n.copy()
-            self.tell(WARNING, "EKF3 IMU0 stopped aiding")
+            self.send_text(WARNING, "EKF3 IMU0 stopped aiding")
             self.events.append((one.t, "stopped aiding"))
 
     def _begin(self, text: str, pos_n: Array, place: float, vel_n: Array, speed: Array) -> None:
-        self.tell(INFO, text)
+        self.send_text(INFO, text)
         self.events.append((self._horizon_t, text))
         self.is_aided, self._is_switched = True, False
         self._position_source = self._wants("POSXY")

@@ -22,11 +22,11 @@ from sim_autopilot.follower import Follower, Motion, Tuning
 from sim_autopilot.loop import Bench, Peer
 
 _EVERY = 25
-"""Samples between two looks at the followers' motion."""
+"""Samples between two comparisons of the followers' motion."""
 _COMPASS_STD = 0.03
 """rad; of the heading of the follower that has a receiver."""
 _HEAD_NOISE = 0.3
-"""rad: what it is taken for (EKF2_HEAD_NOISE)."""
+"""One sigma that the filter assumes for it, rad (EKF2_HEAD_NOISE)."""
 _LAGS = np.arange(-0.1, 0.1001, 0.005)
 """s."""
 
@@ -50,7 +50,7 @@ class Result:
     bias: float
     """Largest accelerometer bias that it estimated, m/s^2."""
     rejected: int
-    """Measurements beyond their gates."""
+    """Number of measurements beyond their gates."""
     events: tuple[tuple[float, str], ...]
     """Resets, each with its time, s."""
 
@@ -114,7 +114,7 @@ def fly(
 
 
 class _Receiver:
-    """Hands the fixes to the follower that has a receiver, and a heading with each."""
+    """Passes the fixes, and a heading with each, to the follower that has a receiver."""
 
     def __init__(self, bench: Bench, follower: Follower) -> None:
         self._bench, self._follower = bench, follower
@@ -140,7 +140,7 @@ class _Receiver:
 
 
 def _samples(bench: Bench, receiver: _Receiver) -> Iterator[tuple[float, Array, Array]]:
-    """Run the bench; yield its inertial samples, and hand its fixes on."""
+    """Run the bench; yield its inertial samples, and pass its fixes on."""
     splitter = Splitter()
     for _, data in bench.frames():
         for frame in splitter.feed(data):

@@ -1,15 +1,15 @@
-"""A small filter that fuses our ODOMETRY as the autopilots' own do: how well does one fly on it?
+"""A small filter that fuses our ODOMETRY as the autopilots' filters do, to see how well it flies.
 
-Position, velocity, attitude and the biases of gyro and accelerometer, fifteen errors, at a horizon
-in the past; what is given out is carried on to now by the samples since then. What it does with a
-message is that of the autopilot it imitates: floors of the noise, gates, resets by the counter and
-by time, the shift of the stamp, the least interval. Left out: wind, the magnetic field's states,
-the smooth output predictor, several cores. It flies as well on a receiver of its own: the same
-filter with the same samples, to compare with.
+Position, velocity, attitude and the biases of gyro and accelerometer, fifteen errors, at a delayed
+time horizon; the output is predicted to the present by the samples since then. A message is treated
+as by the autopilot that is imitated: lower bounds of the noise, gates, resets by the counter and by
+time, the shift of the stamp, the least interval. Left out: wind, the magnetic field's states, the
+smooth output predictor, several cores. For comparison it also flies on a receiver of its own, with
+the same samples.
 
-Where it is to know places, has a barometer and is switched from one source to the other:
-:mod:`sim_autopilot.ekf3` and :mod:`sim_autopilot.ekf2`. The numbers of both are in
-:mod:`sim_autopilot.tuning`; they are theirs, the code is ours.
+:mod:`sim_autopilot.ekf3` and :mod:`sim_autopilot.ekf2` add geographic positions, a barometer and
+the switch between sources. The numbers of both are in :mod:`sim_autopilot.tuning`; they are the
+autopilots', the code is ours.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _Increment:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Motion:
-    """What the follower gives out."""
+    """Output of the follower."""
 
     t: float
     """s."""
@@ -91,7 +91,7 @@ class Follower:
     # What comes in
 
     def sample(self, t: float, gyro: Array, accel: Array) -> None:
-        """Take an inertial sample: rad/s and m/s^2, shape (3,), in b."""
+        """Process an inertial sample: rad/s and m/s^2, shape (3,), in b."""
         if self._t is not None:
             dt = t - self._t
             one = self._sum
@@ -108,7 +108,7 @@ class Follower:
             self._advance(self._steps.popleft())
 
     def odometry(self, m: Any, stamp: float | None = None) -> None:
-        """Take an ODOMETRY message, its stamp on the samples' clock, or that given instead, s."""
+        """Fuse an ODOMETRY message by its stamp on the samples' clock, or by the given one, s."""
         t = m.time_usec * 1e-6 if stamp is None else stamp
         own = self.tuning
         if t - self._last_stamp < own.least_interval or self._t is None:
@@ -118,7 +118,7 @@ class Follower:
         self._later(at, lambda: self._fuse_odometry(m, at))
 
     def fix(self, t: float, pos_n: Array, vel_n: Array, stds: tuple[float, float, float]) -> None:
-        """Take a fix that was true at t: sigmas of the horizontal, the height and the velocity."""
+        """Fuse a fix that was true at t: sigmas of the horizontal, the height and the velocity."""
         horizontal, vertical, velocity = stds
 
         def fuse() -> None:
@@ -131,11 +131,11 @@ class Follower:
         self._later(t - 0.5 * self.tuning.step, fuse)
 
     def heading(self, t: float, yaw: float, std: float) -> None:
-        """Take a heading of its own magnetometer, rad from north."""
+        """Fuse a heading of its own magnetometer, rad from north."""
         self._later(t, lambda: self._fuse_yaw(yaw, std, self.tuning.yaw_gate))
 
     def motion(self) -> Motion:
-        """Return the estimate of now."""
+        """Return the present estimate."""
         q_nb, vel_n, pos_n = self.q_nb, self.vel_n, self.pos_n
         for one in (*self._steps, self._sum):
             q_nb, vel_n, pos_n = self._carried(q_nb, vel_n, pos_n, one)
@@ -144,12 +144,12 @@ class Follower:
     # The horizon moves
 
     def _later(self, at: float, fuse: Callable[[], None]) -> None:
-        """Fuse what was true at a time as soon as the horizon has reached it."""
+        """Fuse a measurement as soon as the horizon has reached its time."""
         self._count += 1
         heapq.heappush(self._waiting, (at, self._count, fuse))
 
     def _level(self, accel: Array) -> None:
-        """Begin level, by the first force, pointing north."""
+        """Begin level by the first specific force, with heading north."""
         roll = np.arctan2(-accel[1], -accel[2])
         pitch = np.arctan2(accel[0], np.hypot(accel[1], accel[2]))
         self.q_nb = so3.from_euler(roll, pitch, 0.0)
@@ -164,7 +164,7 @@ class Follower:
         return q_nb, vel_n + gain, pos_n + (vel_n + 0.5 * gain) * one.dt
 
     def _advance(self, one: _Increment) -> None:
-        """Predict one step, and fuse what was true by then."""
+        """Predict one step, and fuse the measurements that were true by then."""
         own, dt = self.tuning, one.dt
         C = so3.to_matrix(self.q_nb)
         force = C @ (one.gain - self.accel_bias * dt)
@@ -223,7 +223,7 @@ class Follower:
             self._accepted = at
 
     def _variances(self, m: Any) -> tuple[Array, Array]:
-        """Return the variances of position and velocity that it takes a message for."""
+        """Return the variances that it assumes for a message's position and velocity."""
         own, c, v = self.tuning, m.pose_covariance, m.velocity_covariance
         if own.is_message_trusted:
             stated = np.nan_to_num([c[0], c[6], c[11]]), np.nan_to_num([v[0], v[6], v[11]])
@@ -237,7 +237,7 @@ class Follower:
         return np.full(3, std**2), np.full(3, own.velocity_floor**2)
 
     def _reset(self, pos_n: Array, place: Array, vel_n: Array, speed: Array, yaw: float) -> None:
-        """Set position, velocity and yaw, and forget how they were correlated."""
+        """Set position, velocity and yaw, and their correlations to zero."""
         self.pos_n, self.vel_n = pos_n, vel_n
         roll, pitch, _ = so3.to_euler(self.q_nb)
         self.q_nb = so3.from_euler(roll, pitch, yaw)
@@ -253,7 +253,7 @@ class Follower:
     def _fuse_vector(
         self, rows: slice, z: Array, R: Array, gate: float, turning: Array | None = None
     ) -> bool:
-        """Fuse three components in turn, or refuse them together; return whether they count."""
+        """Fuse three components in turn, or refuse them together; return whether fused."""
         H = np.zeros((3, 15))
         H[:, rows] = np.eye(3)
         if turning is not None:

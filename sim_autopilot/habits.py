@@ -1,6 +1,6 @@
-"""The sensors as a firmware reports them, with its habits.
+"""The sensors as a firmware reports them, with its peculiarities.
 
-The habits and their sources: :class:`sim_autopilot.personality.Personality`.
+Which ones, and their sources: :class:`sim_autopilot.personality.Personality`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One direction of a link that is slow, uneven or narrow: bytes in at their times, out at theirs.
 
-A line of few bytes per second queues what it does not carry, as a socket and a serial port do, so
-that all comes later and later. What is lost is lost in whole datagrams.
+A line of few bytes per second queues what it cannot carry, as a socket and a serial port do, so
+that the delay grows. Losses are of whole datagrams.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ _SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
-    """What one direction of a link does to what is sent."""
+    """Properties of one direction of a link."""
 
     delay: float = 0.0
     """s."""
     jitter: float = 0.0
-    """Up to so much more, at random, s; the order stays."""
+    """Random additional delay up to this, s; the order stays."""
     loss: float = 0.0
     """Share of the datagrams that is lost."""
     rate: float = 0.0
-    """Bytes per second that it carries; the rest waits. 0: any number."""
+    """Capacity, bytes per second; the rest waits. 0: unlimited."""
     stall_every: float = 0.0
     """s; 0: it never stalls."""
     stall: float = 0.0
-    """For so long nothing passes, then all at once, s."""
+    """Duration of a stall, after which all passes at once, s."""
 
 
 class Line:

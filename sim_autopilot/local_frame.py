@@ -1,8 +1,8 @@
 """The local frame of an autopilot: an origin of its own, and metres by its own projection.
 
-Neither counts metres on the ellipsoid: ArduPilot takes a degree for 111318.8 m on a sphere as large
-as the equator, PX4 lays a plane on a sphere of the mean radius. A receiver's place so becomes other
-metres in each, and back: between the two and the Earth it is 2 m at 600 m, 10 m at 3 km.
+Neither autopilot uses the ellipsoid: ArduPilot takes a degree as 111318.8 m, on a sphere with the
+equator's radius, PX4 a plane on a sphere of the mean radius. The same position has different metres
+in each: they differ from each other and from the Earth by 2 m at 600 m, 10 m at 3 km.
 
 Sources: ArduPilot, ``Location::get_distance_NE``, ``Location::offset_latlng``,
 ``LOCATION_SCALING_FACTOR``; PX4, ``MapProjection::project`` and ``reproject``.
@@ -28,7 +28,7 @@ _MEAN = 6371000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalFrame:
-    """Places as metres north, east and down of an origin, as one autopilot counts them."""
+    """Positions as metres north, east and down of an origin, by one autopilot's projection."""
 
     kind: Kind
     lat: float
@@ -39,7 +39,7 @@ class LocalFrame:
     """Above mean sea level, m."""
 
     def to_ned(self, lat: float, lon: float, alt: float) -> Array:
-        """Return the metres of a place."""
+        """Return the metres of a geodetic position."""
         down = self.alt - alt
         if self.kind is Kind.ARDUPILOT:
             narrow = max(math.cos(0.5 * (lat + self.lat)), _NARROWEST)
@@ -56,7 +56,7 @@ class LocalFrame:
         return np.array([north, k * math.cos(lat) * math.sin(lon - self.lon), down])
 
     def to_geodetic(self, pos_n: Array) -> tuple[float, float, float]:
-        """Return the place of some metres: latitude, longitude (rad), altitude (m)."""
+        """Return latitude, longitude (rad) and altitude (m) of metres."""
         north, east, down = (float(value) for value in pos_n)
         alt = self.alt - down
         if self.kind is Kind.ARDUPILOT:

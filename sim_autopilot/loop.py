@@ -28,10 +28,10 @@ class Peer(Protocol):
         """Take bytes that arrived at a time of its own clock."""
 
     def tick(self, now_ns: int) -> object:
-        """Do what is due."""
+        """Do the periodic work."""
 
     def data_to_send(self) -> list[bytes]:
-        """Return what it sends, once."""
+        """Return the bytes to send, once."""
 
 
 class StreamRequester:

@@ -1,4 +1,4 @@
-"""What an autopilot that navigates by itself says about where it is: SI to units of the wire."""
+"""Messages on the position of an autopilot that navigates by itself: SI to units of the wire."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ def _place(lat: float, lon: float, alt: float) -> Fields:
 
 
 def state(own: Navigator, motion: Motion, rate_b: np.ndarray, truth: State) -> State:
-    """Return the autopilot's own estimate as its telemetry takes it.
+    """Return the autopilot's own estimate in the form of its telemetry.
 
-    Without an origin an ArduPilot reports its receiver's place, and before the first fix one near
+    Without an origin ArduPilot reports its receiver's position, and before the first fix one near
     0, 0 that moves.
     """
     place = own.place(motion)

@@ -1,7 +1,7 @@
-"""A follower that knows places: an origin of its own, a receiver, a barometer, texts for the pilot.
+"""A follower with geographic positions: an origin, a receiver, a barometer, texts for the pilot.
 
-What both autopilots have in common; who is fused when is each one's own (:mod:`sim_autopilot.ekf3`,
-:mod:`sim_autopilot.ekf2`).
+It has what both autopilots have in common; the selection of sources is in each one's own module
+(:mod:`sim_autopilot.ekf3`, :mod:`sim_autopilot.ekf2`).
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _NO_AID_STD = 10.0
 
 
 class Text(NamedTuple):
-    """What the autopilot tells its pilot."""
+    """A text for the pilot."""
 
     severity: int
     text: str
 
 
 class Navigator(Follower):
-    """One autopilot's filter with all that it needs to know where it is."""
+    """One autopilot's filter with all that it needs for a geographic position."""
 
     kind: Kind
     is_external: bool
@@ -71,11 +71,11 @@ class Navigator(Follower):
         """Position that is held while nothing aids, m."""
 
     def texts(self) -> list[Text]:
-        """Return what is to be told to the pilot, once."""
+        """Return the texts for the pilot, once."""
         texts, self._texts = self._texts, []
         return texts
 
-    def tell(self, severity: int, text: str) -> None:
+    def send_text(self, severity: int, text: str) -> None:
         """Send the pilot a text with the next messages."""
         self._texts.append(Text(severity, text))
 
@@ -84,11 +84,11 @@ class Navigator(Follower):
         return None if self.origin is None else self.origin.to_geodetic(motion.pos_n)
 
     def set_home(self) -> None:
-        """Take the place of now for home."""
+        """Set home to the present position."""
         self.home = self.motion().pos_n
 
     def set_origin(self, lat: float, lon: float, alt: float) -> bool:
-        """Take the origin that somebody gives, rad and m; return whether it is taken."""
+        """Take an origin, rad and m; return whether it is accepted."""
         raise NotImplementedError
 
     def vision(self, m: Any, stamp: float) -> None:
@@ -106,7 +106,7 @@ class Navigator(Follower):
     # Its own sensors
 
     def receiver(self, t: float, fix: Fix, stds: tuple[float, float, float]) -> None:
-        """Take a fix that was true at t: sigmas of the horizontal, the height and the velocity."""
+        """Fuse a fix that was true at t: sigmas of the horizontal, the height and the velocity."""
         self.last_fix = fix
         if fix.fix_type < 3:
             self._good_since = None
@@ -121,20 +121,20 @@ class Navigator(Follower):
             self._later(at, lambda: self._fuse_fix(pos_n, np.array(fix.vel_n), stds))
 
     def baro(self, t: float, alt: float) -> None:
-        """Take an altitude of the barometer, m."""
+        """Fuse an altitude of the barometer, m."""
         self._ground = alt if self._ground is None else self._ground
         height = alt - self._ground
         self._later(max(t, self._horizon_t), lambda: self._fuse_baro(height))
 
     @property
     def has_good_fix(self) -> bool:
-        """Whether the receiver was good for long enough, and still is."""
+        """Whether the receiver has been good for long enough, and still is."""
         now = self._t or 0.0
         is_good = self._good_since is not None and now - self._good_since >= _GOOD_AFTER
         return is_good and now - self._fix_t < _FIX_LOST
 
     def _begin_at(self, fix: Fix) -> None:
-        """Set the origin by the receiver, so that the position of now is where it says."""
+        """Set the origin by the receiver, so that the present position agrees with it."""
         raise NotImplementedError
 
     def _fuse_fix(self, pos_n: Array, vel_n: Array, stds: tuple[float, float, float]) -> None:
@@ -154,7 +154,7 @@ class Navigator(Follower):
         self._fuse_rows([POS.start + 2], np.array([-height - self.pos_n[2]]), _BARO_STD**2, 1e9)
 
     def _hold(self) -> None:
-        """Hold the position, as nothing aids."""
+        """Hold the position, as there is no aid."""
         rows = [POS.start, POS.start + 1]
         self._fuse_rows(rows, self._held_n[:2] - self.pos_n[:2], _NO_AID_STD**2, 1e9)
 
@@ -175,7 +175,7 @@ class Navigator(Follower):
         return ratio
 
     def _set(self, rows: list[int], values: Array, variance: float | Array) -> None:
-        """Set states of position or velocity, and forget how they were correlated."""
+        """Set states of position or velocity, and their correlations to zero."""
         self.pos_n, self.vel_n = self.pos_n.copy(), self.vel_n.copy()
         for k, row in enumerate(rows):
             if row >= POS.start:

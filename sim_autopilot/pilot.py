@@ -1,8 +1,8 @@
-"""A position controller that flies by the autopilot's estimate, and ArduCopter's watch on it.
+"""A position controller on the autopilot's estimate, with ArduCopter's EKF failsafe.
 
-Position, velocity and acceleration as ArduCopter cascades them, with its gains. A reset of the
+Position, velocity and acceleration are cascaded as in ArduCopter, with its gains. A reset of the
 estimate moves the target along in a mode where a pilot holds the stick (LOITER: the vehicle stays
-where it is), and not in one that flies to places (AUTO, GUIDED, RTL: the vehicle goes there).
+where it is), and not in one that flies to positions (AUTO, GUIDED, RTL: the vehicle goes there).
 
 Sources: ArduPilot, ``AC_PosControl`` (PSC_*, ``NE_handle_ekf_reset``), ``ekf_check.cpp``.
 """
@@ -30,9 +30,9 @@ _MOST_ACCEL = np.array([4.0, 4.0, 4.0])
 _LANDING, _BLIND_LANDING = 0.7, 0.5
 """m/s down."""
 _IDLE = np.array([0.0, 0.0, 20.0])
-"""The motors stand."""
+"""The motors are off."""
 _ARRIVED, _SLOW = 0.5, 0.5
-"""m and m/s, of the way home."""
+"""Distance, m, and speed, m/s, at which home is reached."""
 _CHECK = 0.1
 """s."""
 _MOST_FAILS, _LANE = 10, 9
@@ -42,7 +42,7 @@ _THRESHOLD = 0.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """What the controller asks of the vehicle."""
+    """Output of the controller."""
 
     accel_n: Array
     """m/s^2."""
@@ -51,7 +51,7 @@ class Demand:
 
 
 class Pilot:
-    """Takes off, holds, goes to places and returns home."""
+    """Takes off, holds, flies to positions and returns home."""
 
     def __init__(self, navigator: Navigator) -> None:
         """Stand disarmed."""
@@ -71,18 +71,18 @@ class Pilot:
         self._lane = 0
 
     def arm(self) -> None:
-        """Take home from where it stands, and hold there."""
+        """Set home to the present position, and hold there."""
         self.own.set_home()
         self.target_n, self.mode = self.own.motion().pos_n.copy(), "GUIDED"
         self._shift_n = self.own.shift_n.copy()
 
     def go(self, north: float, east: float, height: float) -> None:
-        """Fly to a place: metres from home, by the estimate."""
+        """Fly to a position: metres from home, by the estimate."""
         assert self.own.home is not None
         self.target_n, self.mode = self.own.home + np.array([north, east, -height]), "GUIDED"
 
     def loiter(self) -> None:
-        """Hold where it is, as a pilot does who sees no estimate."""
+        """Hold the true position, as a pilot does who does not use the estimate."""
         self.mode = "LOITER"
 
     def return_home(self) -> None:
@@ -90,7 +90,7 @@ class Pilot:
         self.mode = "RTL"
 
     def demand(self, dt: float, motion: Motion, *, is_landed: bool) -> Demand:
-        """Return what is asked for during a time, by the estimate of now."""
+        """Return the demand for a time step, by the present estimate."""
         self._watch(motion.t)
         moved_n, self._shift_n = self.own.shift_n - self._shift_n, self.own.shift_n.copy()
         if self.mode == "LOITER":
@@ -145,16 +145,16 @@ class Pilot:
         if not is_passed and self._fails == _LANE:
             # Assumed: the other lane is no worse
             self._lane = 1 - self._lane
-            self.own.tell(CRITICAL, f"EKF3 lane switch {self._lane}")
+            self.own.send_text(CRITICAL, f"EKF3 lane switch {self._lane}")
         if self._fails >= _MOST_FAILS and not self._is_bad:
             self._is_bad = True
-            self.own.tell(CRITICAL, "EKF variance")
+            self.own.send_text(CRITICAL, "EKF variance")
             if self.mode != "DISARMED":
                 self.mode = "LAND"
-                self.own.tell(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+                self.own.send_text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
         elif self._fails == 0 and self._is_bad:
             self._is_bad = False
-            self.own.tell(CRITICAL, "EKF Failsafe Cleared")
+            self.own.send_text(CRITICAL, "EKF Failsafe Cleared")
 
 
 def _is_over(status: dict[str, float]) -> bool:

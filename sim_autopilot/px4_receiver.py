@@ -20,11 +20,11 @@ _POSE_FRAMES = (_NED, _ENU, _FRD, _FLU)
 _TWIST_FRAMES = (*_POSE_FRAMES, 8, 9, 12)
 _BODY_FRD = 12
 _UNIT = 1e-5
-"""How far from one the quaternion's norm may be."""
+"""Largest difference of the quaternion's norm from one."""
 _EV_INTERVAL_US = 200_000
 """Largest interval of two samples for fusion to begin."""
 ENDS_US = 2 * _EV_INTERVAL_US
-"""It ends so long after the last."""
+"""Fusion ends so long after the last message."""
 _EV_BITS = {
     1: {Quantity.POSITION},
     2: {Quantity.HEIGHT},

@@ -1,6 +1,6 @@
 """Rotations one at a time: as :mod:`ekf_companion.nav.so3`, in a fifth of its time.
 
-What flies in closed loop turns a few vectors for each sample, for which arrays are slow.
+A closed loop rotates a few vectors for each sample, for which arrays are slow.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ekf_companion.nav.arrays import Array
 
 
 def turned(q: Sequence[float] | Array, phi: Sequence[float] | Array) -> Array:
-    """Return q after a turn by a rotation vector of its own axes, rad; unit norm, w >= 0."""
+    """Return q after a rotation by a rotation vector in its own axes, rad; unit norm, w >= 0."""
     x, y, z = (float(value) for value in phi)
     angle = math.sqrt(x * x + y * y + z * z)
     scale = math.sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
@@ -31,7 +31,7 @@ def turned(q: Sequence[float] | Array, phi: Sequence[float] | Array) -> Array:
 
 
 def rotated(q: Sequence[float] | Array, v: Sequence[float] | Array) -> Array:
-    """Return a vector turned by q."""
+    """Return a vector rotated by q."""
     w, x, y, z = (float(value) for value in q)
     a, b, c = (float(value) for value in v)
     s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)

@@ -13,9 +13,9 @@ ACCEPTED = 0
 GNSS = "GPS_RAW_INT"
 _SECOND_NS = 1_000_000_000
 _CONSTANT = frozenset({"HEARTBEAT"})
-"""Never slowed down by the limit of the link."""
+"""Messages that the limit of the link never slows down."""
 _OVERHEAD = 12
-"""Of a frame, bytes."""
+"""Bytes of a frame beside its payload."""
 _SLOWEST = 0.05
 """Smallest part of its rate that a stream keeps (PX4)."""
 _EARLY = 0.05
@@ -45,7 +45,7 @@ class Streams:
     ) -> None:
         """Begin with the default rates; ``parameters`` is read at each update, not copied.
 
-        What it has also is silent until it is requested.
+        The messages ``also`` are not sent until they are requested.
         """
         own = personality.streams
         if own is None:

@@ -62,7 +62,7 @@ class Rig:
         self._advance(now_ns)
 
     def pop(self, now_ns: int) -> tuple[int, bytes] | None:
-        """Return the next frame that has reached the companion by a time, and when it did."""
+        """Return the next frame that has reached the companion by a time, and when it arrived."""
         self._advance(now_ns)
         return self._out.pop(now_ns)
 

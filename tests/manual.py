@@ -31,7 +31,7 @@ _LAST = r""".SH EXIT STATUS
 Done.
 .TP
 .B 1
-A bug; a package of an extra is missing; no estimate of now, or an invalid one (status); not
+A bug; a package of an extra is missing; no current estimate, or an invalid one (status); not
 reloaded (reload).
 .TP
 .B 2

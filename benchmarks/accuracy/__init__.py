@@ -1,4 +1,4 @@
-"""How good the estimate is: the tables of docs/ACCURACY.md.
+"""Errors of the estimate: the tables of docs/accuracy.
 
 ``__main__`` compares recorded flights with a truth or with the autopilot. Many simulated flights:
 

@@ -1,6 +1,6 @@
-"""Print the tables of docs/ACCURACY.md, from recorded and simulated flights: ``make accuracy``.
+"""Print the tables of docs/accuracy, from recorded and simulated flights: ``make accuracy``.
 
-With ``--write FILE`` they go between the marks ``<!-- name -->`` and ``<!-- end -->`` in that file.
+``--write docs/accuracy`` puts them between the marks ``<!-- name -->`` and ``<!-- end -->`` there.
 """
 
 from __future__ import annotations

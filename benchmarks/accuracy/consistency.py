@@ -1,7 +1,7 @@
-"""Is the filter as wrong as it says? Monte Carlo of the normalised errors, block by block.
+"""Whether the filter's covariance is right: Monte Carlo of the normalised errors, by block.
 
-Source: Bar-Shalom, Li, Kirubarajan 2001, "Estimation with applications to tracking and
-navigation", section 5.4 (NEES, NIS and their chi-square bands over independent runs).
+Source: Bar-Shalom, Li, Kirubarajan 2001, "Estimation with applications to tracking and navigation",
+section 5.4 (NEES, NIS and their chi-square bands over independent runs).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A receiver that is wrong: how far it pulls the estimate, how soon it is noticed and mended."""
+"""A receiver that is wrong: its effect on the estimate, the times of detection and recovery."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _freeze(fixes: Fixes, rows: Mask) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ReceiverFault:
-    """What is wrong, and for how long."""
+    """A fault of the receiver, and its duration."""
 
     title: str
     length: float

@@ -1,9 +1,10 @@
-"""Hold a refactoring to the bit: ``make bits BASE=REVISION``.
+"""Compare every bit of all results with a revision's: ``make bits BASE=REVISION``.
 
 The revision is checked out and built below ``build/bits``, with the same interpreter and libraries.
 Both trees hash all results (:mod:`benchmarks.bits.hashes`, the base by its own if it has one); each
-case and quantity that differs is named, and the exit code is 1 if one does. What only one of them
-has, as a new column of the estimates, is named and is no difference. Nothing is recorded.
+case and quantity that differs is named, and the exit code is 1 if one does. A quantity that only
+one of them has, as a new column of the estimates, is named but is not a difference. Nothing is
+recorded.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Found = dict[str, Hashes]
 
 
 def hashed(tree: Path, asked: argparse.Namespace) -> Found:
-    """Return the hashes of what a tree makes of the cases."""
+    """Return the hashes of a tree's results of the cases."""
     script = tree / SCRIPT
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "hashes.json"
@@ -41,7 +42,7 @@ def hashed(tree: Path, asked: argparse.Namespace) -> Found:
 def compare(base: Found, here: Found) -> tuple[list[str], int]:
     """Return a line for all that differs, is new or gone in the same cases, and how many differ.
 
-    A bug differs from everything, itself too.
+    A bug differs from everything, even from itself.
     """
     kinds: dict[str, dict[str, list[str]]] = {"differ": {}, "are new": {}, "are gone": {}}
     for case in sorted({*base} & {*here}):

@@ -181,13 +181,13 @@ class Watched:
         self._look()
 
     def tick(self, now_ns: int) -> None:
-        """Do what time brings."""
+        """Do the periodic work."""
         self._now_ns = now_ns
         self._companion.tick(now_ns)
         self._look()
 
     def data_to_send(self) -> list[bytes]:
-        """Return what is sent, once."""
+        """Return the bytes to send, once."""
         sent = self._companion.data_to_send()
         for data in sent:
             self._digests["sent"].add(self._now_ns, data)
@@ -341,7 +341,7 @@ def cases(data: Path) -> dict[str, tuple[Callable[..., Hashes], tuple[Any, ...]]
 
 
 def run_one(job: tuple[Path, str]) -> tuple[str, Hashes]:
-    """Do one case; a bug is a result too, which no comparison lets pass."""
+    """Run one case; an exception is a result too, which no comparison accepts."""
     data, name = job
     work, arguments = cases(data)[name]
     try:

@@ -1,4 +1,4 @@
-"""Damage the bytes of a file: bits, lengths, blocks, heads, and what readers of text trip over."""
+"""Damage to the bytes of a file: bits, lengths, blocks, heads, and traps for readers of text."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def cross(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 
 def nest(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """Put in what a text reader must not take literally."""
+    """Insert text that a reader must not take literally."""
     start, _ = _span(data, rng)
     words = WORDS[int(rng.integers(len(WORDS)))]
     return data[:start] + words * int(200_000 ** rng.random()) + data[start:]

@@ -1,8 +1,8 @@
 """Damage files of every kind that a command reads, and see what the command does with each.
 
-A file may be anything. Demanded are: no traceback and no signal; an exit code that README names,
-with one sentence where it is not 0; less than 1 GiB of memory, which is the process's limit; and a
-time that grows with the bytes of the file and no faster::
+A file may be anything. Demanded are: no traceback and no signal; an exit code that docs/COMMANDS.md
+names, with one sentence where it is not 0; less than 1 GiB of memory, which is the process's limit;
+and a time that grows with the bytes of the file and no faster::
 
     python -m benchmarks.reliability.damaged                      # 300 mutants of each kind
     python -m benchmarks.reliability.damaged .ulg.gz journal --mutants 50 --seed 7

@@ -1,4 +1,4 @@
-"""Fuzz the decoder and the log readers, led by coverage, with Atheris (libFuzzer).
+"""Fuzz the decoder and the log readers, directed by coverage, with Atheris (libFuzzer).
 
 To run it::
 
@@ -42,7 +42,7 @@ SUFFIXES = ("tlog", "bin", "ulg", "csv", "txt", "mat")
 
 
 def stream(data: bytes) -> None:
-    """Feed bytes like those of a link, in pieces of a length that the first byte says."""
+    """Feed bytes like those of a link, in pieces whose length the first byte sets."""
     fuzzed = FuzzedCompanion()
     cut = data[0] + 1 if data else 1
     for start in range(0, len(data), cut):

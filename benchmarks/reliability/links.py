@@ -1,9 +1,9 @@
 """Links that deliver frames late, twice, or by another path: ``make links``.
 
-The frames of simulated flights, with the times at which they arrive, are delivered otherwise: a
-link stalls and brings a few of its frames afterwards, recorded frames come once more from the
-autopilot's address, the same stream comes by two paths, or by a slower one from some time on. The
-daemon's core hears them; what it estimates is compared with the truth at its stamp.
+The frames of simulated flights are delivered at changed times: a link stalls and brings a few of
+its frames afterwards, recorded frames come once more from the autopilot's address, the same stream
+comes by two paths, or by a slower one from some time on. The daemon's core receives them; its
+estimates are compared with the truth at their stamps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.document import insert, table
+from benchmarks.document import table, write
 from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
@@ -49,16 +49,16 @@ SECOND_NS = 1_000_000_000
 
 
 class Trouble(NamedTuple):
-    """A kind of delivery."""
+    """A way in which frames are delivered."""
 
     name: str
     deliver: Callable[[list[Delivered]], list[Delivered]]
     end: float
-    """The link is as before, or steady again, so long after the trouble began, s."""
+    """Time from its beginning after which the link is normal again, or steady, s."""
 
 
 class Outcome(NamedTuple):
-    """What a flight with a trouble gave."""
+    """The result of a flight with such a link."""
 
     worst: Array
     """Largest horizontal error, m, and tilt, deg, from the begin on."""
@@ -220,7 +220,7 @@ def estimates(frames: list[Delivered], companion: Companion) -> tuple[Array, Arr
 
 
 def score(flown: Flown, trouble: Trouble) -> Outcome:
-    """Hear a flight with a trouble, and compare with the truth."""
+    """Run a flight over such a link, and compare with the truth."""
     companion = Companion(Config(), open_pipeline=lambda c, family: Pipeline(c, family))
     arrival, stamp, values = estimates(trouble.deliver(flown.frames), companion)
     begin = _begin(flown.frames)
@@ -288,8 +288,7 @@ def main() -> None:
         for line in lines:
             print(line, flush=True)
         return
-    text = asked.write.read_text(encoding="utf-8")
-    asked.write.write_text(insert(text, "links", "\n".join(lines)), encoding="utf-8")
+    write(asked.write, "links", "\n".join(lines))
 
 
 if __name__ == "__main__":

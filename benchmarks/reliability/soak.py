@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.document import insert
+from benchmarks.document import write
 from benchmarks.reliability.soak_daemon import Minute, minute
 from benchmarks.reliability.soak_flight import Flown, Look, fly
 from benchmarks.reliability.soak_score import (
@@ -187,8 +187,7 @@ def main() -> None:
     measured = "\n".join(page(hours, live)).strip()
     print(measured)
     if asked.write is not None:
-        text = asked.write.read_text(encoding="utf-8")
-        asked.write.write_text(insert(text, "soak", measured), encoding="utf-8")
+        write(asked.write, "soak", measured)
     is_good = all(one.is_good for one in hours)
     if live is not None:
         is_good = is_good and not late("px4", live.found) and not live.has_exited

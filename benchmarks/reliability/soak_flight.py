@@ -176,7 +176,7 @@ def plan(personality: str, seed: int, duration: float, scenario: str = "figure-e
 def look(companion: Companion, t: float) -> Look:
     """Measure the process's memory and every container reachable from the estimator.
 
-    The frames of the last seconds, and what they are told by, count beyond their own bound only.
+    The frames of the last seconds, and their keys, count beyond their own bound only.
     """
     found = [one for one in containers(companion) if not (".past._" in one[0] and one[1] <= KEPT)]
     where, largest = max(found, key=lambda one: one[1])

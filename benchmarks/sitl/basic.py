@@ -1,4 +1,4 @@
-"""The first questions: does it fly better on ODOMETRY, and does it bear outages and restarts."""
+"""Whether it flies better on ODOMETRY, and whether it survives outages and restarts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from benchmarks.sitl.simulator import Simulator
 RESTART = 0.3
 """s from a kill to the next start: RestartSec of systemd/ekf-companion.service."""
 MONITOR = "Companion: autopilot does not follow"
-"""How the daemon's text begins that says so."""
+"""Beginning of the daemon's text about that."""
 _RESTARTS = 10
 
 
@@ -97,7 +97,7 @@ def lost(simulator: Simulator, folder: Path) -> Iterator[Line]:
 
 
 def returned(name: str, log: Log, which: tuple[str, ...]) -> Iterator[Line]:
-    """Return what is asked of an outage and of the receiver's return."""
+    """Return the lines on an outage and the receiver's return."""
     assert log.flown is not None
     flown, fix, end = log.flown, log.marks["fix"], log.marks["end"]
     steps = untold_steps(flown.ours, flown.resets, flown.truth, 1.0)
@@ -154,7 +154,7 @@ def restarted(simulator: Simulator, folder: Path) -> Iterator[Line]:
 
 
 def landing(name: str, log: Log) -> Line:
-    """Return how far from the place of its arming the vehicle came to lie."""
+    """Return the distance of the vehicle's landing from the place of its arming."""
     away = log.truth_at("landed") - log.truth_at("arming")
     return Line(name, "landed from home", float(np.hypot(away[0], away[1])), 1.0, " m")
 

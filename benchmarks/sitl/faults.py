@@ -22,7 +22,7 @@ _WRONG = "receiver|GNSS|GPS"
 
 
 def fly_faults(simulator: Simulator, folder: Path) -> Log:
-    """Hover on ODOMETRY through a glitch of 60 m and a slide of 20 m."""
+    """Hover on ODOMETRY through a glitch of 60 m and a drift of 20 m."""
     with vehicle(simulator, folder, dict(simulator.flown_on)) as (pilot, _, log):
         climb(pilot, log)
         pilot.wait(5.0)
@@ -31,8 +31,8 @@ def fly_faults(simulator: Simulator, folder: Path) -> Log:
         pilot.wait(10.0)
         pilot.shift_receiver(0.0, 0.0, 0.0)
         pilot.wait(15.0)
-        log.marks["slide"] = pilot.t
-        while (east := 0.5 * (pilot.t - log.marks["slide"])) < 20.0:
+        log.marks["drift"] = pilot.t
+        while (east := 0.5 * (pilot.t - log.marks["drift"])) < 20.0:
             pilot.shift_receiver(0.0, east, 0.0)
             pilot.wait(0.2)
         log.marks["stays"] = pilot.t
@@ -46,11 +46,11 @@ def fly_faults(simulator: Simulator, folder: Path) -> Log:
 
 
 def faulty(simulator: Simulator, folder: Path) -> Iterator[Line]:
-    """Shift what the receiver says, at once and slowly."""
+    """Shift the receiver's positions, at once and slowly."""
     log = fly_faults(simulator, folder / "faults")
     for name, begin, end in (
-        ("glitch of 60 m", "glitch", "slide"),
-        ("slide of 20 m", "slide", "end"),
+        ("glitch of 60 m", "glitch", "drift"),
+        ("drift of 20 m", "drift", "end"),
     ):
         found, ours = log.score("autopilot", begin, end), log.score("ours", begin, end)
         yield Line(name, "autopilot's largest horizontal error", found.horizontal_max, 2.0, " m")
@@ -58,8 +58,8 @@ def faulty(simulator: Simulator, folder: Path) -> Iterator[Line]:
         yield Line(name, "our largest vertical error", ours.vertical_max, 2.0, " m")
         told = log.told_after(_WRONG, log.marks[begin])
         yield Line(name, "until the pilot reads what is wrong", told, 5.0, " s")
-    yield from dangers("glitch and slide", log, begin="glitch", quiet=1.0)
-    yield pace("glitch and slide", log)
+    yield from dangers("glitch and drift", log, begin="glitch", quiet=1.0)
+    yield pace("glitch and drift", log)
 
 
 def fly_moving_outage(simulator: Simulator, folder: Path, is_flown_on: bool) -> Log:

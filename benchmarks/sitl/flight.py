@@ -1,4 +1,4 @@
-"""One flight: its processes, and what is noted while it goes on."""
+"""One flight: its processes, and the record of what happens."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ ALARMS = (
 
 @dataclass(slots=True)
 class Log:
-    """What is noted while a flight goes on."""
+    """Record of a flight."""
 
     marks: dict[str, float] = field(default_factory=dict)
     """Times of events on the vehicle's clock, s."""
     texts: list[tuple[float, str]] = field(default_factory=list)
     """The autopilot's, each with the time at which it came."""
     said: list[tuple[float, str]] = field(default_factory=list)
-    """The daemon's, likewise: those that reached the ground station."""
+    """The daemon's texts, likewise: those that reached the ground station."""
     modes: list[tuple[float, int]] = field(default_factory=list)
     """Changes of the mode."""
     ordered: list[int] = field(default_factory=list)
@@ -77,14 +77,14 @@ class Log:
         return [mode for t, mode in self.modes if begin < t <= end and mode not in self.ordered]
 
     def told_after(self, words: str, since: float) -> float:
-        """Return how long after a time the daemon first said one of some words, s."""
+        """Return how long after a time the daemon first sent one of some texts, s."""
         pattern = re.compile(words, re.IGNORECASE)
         times = [t for t, text in self.said if t >= since and pattern.search(text)]
         return times[0] - since if times else float("inf")
 
     @property
     def largest_bias(self) -> float:
-        """The autopilot's largest accelerometer bias, m/s^2; 0 where it tells none."""
+        """The autopilot's largest accelerometer bias, m/s^2; 0 if it is not logged."""
         if self.flown is None or not len(self.flown.accel_bias):
             return 0.0
         return float(abs(self.flown.accel_bias).max())

@@ -1,4 +1,4 @@
-"""The lines of the table: what was found, what is good, and the dangers of every flight."""
+"""The lines of the table: the result, the limit, and the dangers of every flight."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def dangers(
     error: float | None = None,
     allowed: Iterable[str] = (),
 ) -> Iterator[Line]:
-    """Return what every flight is asked.
+    """Return the lines that every flight has.
 
     Args:
         flight: Its name.
@@ -135,6 +135,6 @@ def dangers(
 
 
 def _said(texts: list[str]) -> str:
-    """Return the first few texts, to be read in the table."""
+    """Return the first few texts, for the table."""
     kinds = list(dict.fromkeys(texts))[:3]
     return f" ({'; '.join(kinds).replace('|', '/')})" if kinds else ""

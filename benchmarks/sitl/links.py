@@ -1,4 +1,4 @@
-"""Lines that are too slow, late or lossy for what goes over them."""
+"""Lines that are too slow, late or lossy for the traffic."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _GOOD = "(?i)ODOMETRY is streamed"
 _RECENT = 0.5
 """Without an arrival for so long nothing arrives, s."""
 _PAUSE = 2.0
-"""A silence that the pilot has to be told of, s."""
+"""A silence that must be reported to the pilot, s."""
 _NATURAL = 3.0
-"""A failsafe within so long of the last arrival is of what arrived, s."""
+"""A failsafe within this time of the last arrival is due to what arrived, s."""
 
 
 def fly_wire(simulator: Simulator, folder: Path, wire: Wire, settings: Mapping[str, float]) -> Log:
@@ -120,7 +120,7 @@ def _is_fed(arrival: np.ndarray, t: float, recent: float = _RECENT) -> bool:
 def told(log: Log, since: float) -> float:
     """Return how long after a time the pilot has read that the line is bad.
 
-    0: before it, and not since then that ODOMETRY is streamed.
+    0: before it, and no text since then that ODOMETRY is streamed.
     """
     before = [text for t, text in log.said if t <= since and re.search(f"{_BAD}|{_GOOD[4:]}", text)]
     if before and not re.search(_GOOD, before[-1]):

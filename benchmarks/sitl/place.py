@@ -1,4 +1,4 @@
-"""Places on the Earth, and how each autopilot makes them of its metres.
+"""Positions on the Earth, and the projections by which each autopilot computes them.
 
 All tracks are compared as metres north, east and down of ``HOME``, by the ellipsoid's radii there:
 the same for all of them, so that only a difference of latitude, longitude or altitude is an error.
@@ -19,7 +19,7 @@ from ekf_companion.nav.arrays import Array
 
 
 class Places(NamedTuple):
-    """One place or several."""
+    """One position or several."""
 
     lat: Array
     """deg."""
@@ -47,7 +47,7 @@ def from_home(places: Places) -> Array:
 
 
 def by_ardupilot(pos_n: Array, origin: Places) -> Places:
-    """Return the places that ArduPilot means by metres about an origin, shape (n, 3)."""
+    """Return the positions of metres about an origin, shape (n, 3), by ArduPilot's projection."""
     lat = origin.lat + np.rad2deg(pos_n[:, 0] / ARDUPILOT_RADIUS)
     scale = np.maximum(np.cos(np.deg2rad(0.5 * (origin.lat + lat))), 0.01)
     lon = origin.lon + np.rad2deg(pos_n[:, 1] / ARDUPILOT_RADIUS / scale)
@@ -55,7 +55,7 @@ def by_ardupilot(pos_n: Array, origin: Places) -> Places:
 
 
 def by_px4(pos_n: Array, origin: Places) -> Places:
-    """Return the places that PX4 means by metres about an origin, shape (n, 3)."""
+    """Return the positions of metres about an origin, shape (n, 3), by PX4's projection."""
     north, east = pos_n[:, 0] / PX4_RADIUS, pos_n[:, 1] / PX4_RADIUS
     c = np.hypot(north, east)
     share = np.sinc(c / np.pi)  # sin(c) / c
@@ -66,6 +66,6 @@ def by_px4(pos_n: Array, origin: Places) -> Places:
 
 
 def latest(t: Array, stamps: Array, places: Places) -> Places:
-    """Return for each time the place that was stated last; before the first, the first."""
+    """Return for each time the last position stated; before the first, the first."""
     rows = np.maximum(np.searchsorted(stamps, t, side="right") - 1, 0)
     return Places(places.lat[rows], places.lon[rows], places.alt[rows])

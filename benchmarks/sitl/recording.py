@@ -1,4 +1,4 @@
-"""What the daemon sent, by its recordings: sent and withheld messages told apart."""
+"""The daemon's ODOMETRY, by its recordings: sent and withheld messages separated."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Odometry:
     t: Array
     """Time of validity, s of the vehicle's clock."""
     pos_n: Array
-    """As stated: m about an origin that only the next field tells."""
+    """As stated: m about the origin of the next field."""
     origin: Places | None
-    """What GPS_GLOBAL_ORIGIN of the same component said last; None: it never came."""
+    """Last GPS_GLOBAL_ORIGIN of the same component; None: it never came."""
     vel_n: Array
     """m/s."""
     euler: Array
@@ -134,7 +134,7 @@ def _sent_rows(log: tlog.Tlog) -> Mask:
 
 
 def _origins(log: tlog.Tlog) -> tuple[Array, Places]:
-    """Return the records of our GPS_GLOBAL_ORIGIN, and what they say."""
+    """Return the records of our GPS_GLOBAL_ORIGIN, and their content."""
     rows = log.columns(("GPS_GLOBAL_ORIGIN",), 1, COMPONENT_ID).get("GPS_GLOBAL_ORIGIN")
     if rows is None:
         return np.zeros(0), Places(np.zeros(0), np.zeros(0), np.zeros(0))

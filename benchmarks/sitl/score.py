@@ -1,4 +1,4 @@
-"""Errors of an estimate against the truth of the same flight, its lag, and what the vehicle did."""
+"""Errors of an estimate against the truth of the same flight, its lag, and the true motion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOVING = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """RMS errors over a part of a flight, in absolute places; infinite without an estimate."""
+    """RMS errors over a part of a flight, in absolute positions; infinite without an estimate."""
 
     horizontal: float
     """m."""
@@ -92,7 +92,7 @@ def pooled(scores: Sequence[Score]) -> Score:
 def right_after(
     estimate: Track | None, truth: Track, since: float, end: float, limit: float
 ) -> float:
-    """Return how long after a time an estimate's place is right for good, s; infinite: never.
+    """Return how long after a time an estimate's position is right for good, s; infinite: never.
 
     Args:
         estimate: The estimate; None: there was none.
@@ -115,7 +115,7 @@ def right_after(
 def untold_steps(estimate: Track | None, resets: Array, truth: Track, limit: float) -> int:
     """Count steps of an estimate over a limit (m), in any axis, with an unmoved reset counter.
 
-    A step is a change of the error between two messages that follow each other, however long after.
+    A step is a change of the error between two consecutive messages.
     """
     if estimate is None:
         return 0
@@ -141,7 +141,7 @@ def moved(truth: Track, t: float, before: float = 2.0, after: float = 10.0) -> f
 
 
 class Silence(NamedTuple):
-    """For how long nothing came."""
+    """Duration of pauses."""
 
     total: float
     """s, of the pauses that are longer than usual."""

@@ -41,7 +41,7 @@ class Simulator(ABC):
     always: ClassVar[Values]
     """Parameters of every flight."""
     flown_on: ClassVar[Values]
-    """Parameters to fly on ODOMETRY: those of the README."""
+    """Parameters to fly on ODOMETRY: those of docs/ODOMETRY.md."""
     alternative: ClassVar[Values]
     """Parameters to fly on its own receiver, and change to ODOMETRY in flight."""
     receiver: str

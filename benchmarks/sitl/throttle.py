@@ -39,7 +39,7 @@ _HEAD, _TAIL, _SIGNATURE = 10, 2, 13
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """What a line does to what goes over it."""
+    """Properties of a line."""
 
     kind: str = "udp"
     """``tcp``, ``udp`` or ``pty``: what the daemon sees."""
@@ -100,7 +100,7 @@ class Throttle:
 
 
 class Way:
-    """What goes one way: frames that wait for their time, then bytes that wait for the line."""
+    """One direction: frames that wait for their time, then bytes that wait for the line."""
 
     def __init__(
         self, line: Line, chance: random.Random, *, is_datagram: bool, is_port: bool = False

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.document import insert, table
+from benchmarks.document import table, write
 from benchmarks.truth.cases import CASES
 from benchmarks.truth.run import Job, Outcome, run_all
 
@@ -120,8 +120,7 @@ def main() -> int:
         print(line, flush=True)
         lines.append(line)
     if asked.write is not None:
-        text = asked.write.read_text(encoding="utf-8")
-        asked.write.write_text(insert(text, MARK, "\n".join(lines)), encoding="utf-8")
+        write(asked.write, MARK, "\n".join(lines))
     return 0 if all(one.is_honest for one in found if one.job.ekf == asked.ekf) else 1
 
 

@@ -1,4 +1,4 @@
 """Evaluation of estimates: scores, comparisons of filters, observability, and all figures.
 
-It reads estimates and recordings; nothing that estimates imports it.
+It reads estimates and recordings; no estimator imports it.
 """

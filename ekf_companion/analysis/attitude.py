@@ -1,4 +1,4 @@
-"""Errors of an attitude against a truth: in all, in heading, in inclination.
+"""Errors of an attitude against a truth: total, heading and inclination.
 
 Source: Laidig, Caruso, Cereatti, Seel 2021, "BROAD: a benchmark for robust inertial orientation
 estimation", Data 6(7), section 4: no alignment of any kind before the errors are computed.
@@ -23,12 +23,12 @@ LONGEST_GAP_NS = 100_000_000
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AttitudeErrors:
-    """The errors at the times at which the truth is known and an estimate is near."""
+    """Errors at the times at which the truth is known and an estimate is near."""
 
     t_ns: Stamps
     """Stamps of the truth, shape (n,)."""
     total: Array
-    """Angle of the turn from truth to estimate, rad, >= 0, shape (n,)."""
+    """Angle of the rotation from truth to estimate, rad, >= 0, shape (n,)."""
     heading: Array
     """Angle of its part about the vertical, rad, clockwise positive, shape (n,)."""
     inclination: Array
@@ -43,13 +43,13 @@ class AttitudeScore:
     heading: float
     inclination: float
     samples: int
-    """Number of samples of the truth that counted."""
+    """Number of samples of the truth that were compared."""
 
 
 def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
     """Compare estimates with a truth at its own stamps.
 
-    Estimates before down and north are found do not count.
+    Estimates before alignment are left out.
     """
     valid = np.isfinite(table.column("q_w")) & (table.column("status") >= Status.ATTITUDE)
     stamps = table.stamp_ns[valid]

@@ -1,4 +1,4 @@
-"""Many logs: which they are, and a row of a table on each."""
+"""Finds the logs of a batch, and makes a table's row of each."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from ekf_companion.replay import convert
 from ekf_companion.replay.report import Report
 
 Row = dict[str, str | int | float | None]
-"""What is found of one log, by column; None: not known."""
+"""Results of one log, by column; None: not known."""
 
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv")
 """Kinds of logs that are looked for in folders."""
 SHOWN = 4
-"""Files that are left out for one reason, by name."""
+"""Number of files left out for one reason that are named."""
 SKIPPED = {"truth": 30.0, "autopilot": 20.0}
-"""Seconds at the start that do not count in the errors, as in ``compare``."""
+"""Seconds at the start that are left out of the errors, as in ``compare``."""
 _RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
 _ERRORS = {
     "horizontal_m": ("horizontal", 1.0),
@@ -71,7 +71,7 @@ autopilot's own estimate and against the log's truth."""
 
 
 def find_logs(names: Sequence[str]) -> list[Path]:
-    """Return the logs of files, folders (with all below) and patterns, each once, in their order.
+    """Return the logs of files, folders (recursively) and patterns, each once, in their order.
 
     Raises:
         ConfigError: A name is nothing of these, or there is no log at all.
@@ -95,9 +95,9 @@ def find_logs(names: Sequence[str]) -> list[Path]:
 
 
 def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
-    """Return how many files of the folders are no logs, which, and why; empty: none is left out.
+    """Return how many files of the folders are not logs, which, and why; empty: none.
 
-    Taken are the logs that :func:`find_logs` found there, and the outputs.
+    ``taken`` are the logs that :func:`find_logs` found there, and the outputs.
     """
     ours = {real_path(path) for path in taken}
     ours |= {real_path(beside) for path in taken if (beside := map_beside(path)) is not None}
@@ -122,7 +122,7 @@ def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file in a folder may be a log: no estimate, and no other table."""
+    """Return whether a file in a folder may be a log, and not an estimate or another table."""
     return not _why_not(path)
 
 
@@ -154,12 +154,12 @@ def examine(path: Path, config: Config) -> Row:
 
 
 def _name(path: Path) -> str:
-    """Return the name of a log in a table, where no spreadsheet takes it for a formula."""
+    """Return the name of a log in a form that no spreadsheet takes for a formula."""
     return printable(f"./{path}" if str(path).lstrip()[:1] in ("=", "+", "-", "@") else path)
 
 
 def printable(text: object) -> str:
-    r"""Return a text that any file may hold: bytes of a name that are no UTF-8 as ``\udcff``."""
+    r"""Return a text that any file may hold: bytes that are not UTF-8 as ``\udcff``."""
     return str(text).encode(errors="backslashreplace").decode()
 
 
@@ -170,7 +170,7 @@ def failed(path: Path, why: str) -> Row:
 
 
 def _found(path: Path, table: Table, report: Report) -> Iterator[tuple[str, str | int | float]]:
-    """Yield what is known of a log, by column."""
+    """Yield the results of a log, by column."""
     yield from {"log": _name(path), "outcome": "estimated", "autopilot": report.family}.items()
     yield "estimates", len(table)
     yield "duration_s", round(sum(report.seconds.values()), 3)

@@ -1,6 +1,6 @@
-"""Many logs in several processes: one that fails stops no other, and a run goes on where it ended.
+"""Many logs in several processes: a failure stops no other log, and a run can be resumed.
 
-What is finished stands in a journal beside the table, a line per log, until the table is complete.
+Finished logs are in a journal beside the table, a line per log, until the table is complete.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ LARGEST = 1 << 28
 """Bytes of a journal: of a hundred thousand logs."""
 Task = Callable[[Path], Row]
 Progress = Callable[[int, int], None]
-"""Called with how many bytes of the logs are done, of how many."""
+"""Called with the bytes of the logs that are done, and of all."""
 
 
 class Executor(Protocol):
-    """Where the logs are examined: processes of this machine, or an engine in their place."""
+    """Runs the task on each log: in processes of this machine, or elsewhere."""
 
     def run(self, task: Task, logs: Sequence[Path]) -> Iterator[tuple[Path, Row]]:
         """Yield each log and its row once it is known, in any order; no log stops the others."""
@@ -51,8 +51,8 @@ class Processes:
     def run(self, task: Task, logs: Sequence[Path]) -> Iterator[tuple[Path, Row]]:
         """Yield each log and its row once it is known.
 
-        Where a process dies, the logs that were not finished are examined again, each in a process
-        of its own: so only the one that kills it fails.
+        If a process dies, the unfinished logs are examined again, each in a process of its own, so
+        that only the log that kills it fails.
         """
         again: list[Path] = []
         for log, row in self._run_together(task, logs, self._jobs):
@@ -86,7 +86,7 @@ class Processes:
 
 
 def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, and end with it."""
+    """Ignore Ctrl-C, which the parent handles, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_parent() -> None:
@@ -104,11 +104,11 @@ def run(
     executor: Executor,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Examine logs, those in the journal excepted; return their rows in the order of the logs.
+    """Examine all logs that are not in the journal; return all rows in the order of the logs.
 
     Raises:
         LogError: The journal cannot be written.
-        ConfigError: What has its name is no journal.
+        ConfigError: A file with its name is not a journal.
     """
     keys = {log: _key(log) for log in logs}
     written = _read_journal(journal, config)
@@ -139,15 +139,15 @@ def _add_line(file: TextIO, key: str, row: Row) -> None:
 
 
 def _own(path: str, flags: int) -> int:
-    """Open a journal, and not what a link of its name leads to, nor wait for who fills a FIFO."""
+    """Open a journal without following links, and without waiting for the writer of a FIFO."""
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
 
 
 def _read_journal(path: Path, config: Config) -> dict[str, Row]:
-    """Return the rows of an earlier run by key; none where its settings were others.
+    """Return the rows of an earlier run by key; none if its settings were different.
 
     Raises:
-        ConfigError: It is no journal, and would be lost.
+        ConfigError: It is not a journal, and would be lost.
     """
     try:
         with open(path, "rb", opener=_own) as file:
@@ -172,7 +172,7 @@ def _read_journal(path: Path, config: Config) -> dict[str, Row]:
 
 
 def _read_line(line: str) -> tuple[str, Row] | None:
-    """Return the key and the row of a line; None: it is cut short or no line of a journal."""
+    """Return the key and the row of a line; None: it is cut short, or not a line of a journal."""
     try:
         match json.loads(line):
             case [str(key), dict(row)] if not row or _is_row(row):
@@ -183,7 +183,7 @@ def _read_line(line: str) -> tuple[str, Row] | None:
 
 
 def _is_row(row: Row) -> bool:
-    """Return whether a row could be of the table: its columns, of their types, as text of UTF-8."""
+    """Return whether a row could be the table's: its columns, of their types, text in UTF-8."""
     if row.keys() != COLUMNS.keys() or row["outcome"] not in ("estimated", "failed"):
         return False
     for name, value in row.items():
@@ -198,7 +198,7 @@ def _is_row(row: Row) -> bool:
 
 
 def _key(log: Path) -> str:
-    """Return what says that a log is still the same."""
+    """Return a key by which an unchanged log is recognised."""
     about = log.stat() if log.exists() else None
     return f"{log} {about.st_size} {about.st_mtime_ns}" if about else str(log)
 

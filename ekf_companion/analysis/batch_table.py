@@ -15,7 +15,7 @@ from ekf_companion.logs.writer import create
 
 KINDS = (".csv", ".parquet")
 FEWEST = 50
-"""Characters behind a log's name that no terminal is too narrow for."""
+"""Characters behind a log's name that are shown on any terminal."""
 
 
 def check(path: Path) -> None:

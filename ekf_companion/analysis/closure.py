@@ -11,19 +11,19 @@ from ekf_companion.nav.arrays import runs
 from ekf_companion.nav.state import POSITION
 
 SHORTEST_NS = 50_000_000
-"""Still phases closer together than this are one stance: the foot rolled over its sole."""
+"""Still phases closer together than this are one stance, during which the foot rolls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Closure:
-    """From the first position of a solution to its last."""
+    """Closure of a solution, from its first position to its last."""
 
     horizontal: float
     """m."""
     distance: float
     """In space, m."""
     path: float
-    """Length of the way over the ground, m."""
+    """Length of the path over the ground, m."""
     stances: int
     """Phases in which the sensor stood still, including the rests at both ends."""
 
@@ -41,7 +41,7 @@ def closure(solution: Solution) -> Closure:
 
 
 def stances(solution: Solution) -> list[tuple[int, int]]:
-    """Return the first index and the one past the last of each stance."""
+    """Return the first index of each stance, and the index past its last."""
     if solution.is_still is None:
         return []
     stamps = solution.table.stamp_ns

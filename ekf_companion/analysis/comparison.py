@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]
 WARM_NS = 2_000_000_000
 """Length of the recording that a filter processes before it is timed."""
 NEAR_NS = 100_000_000
-"""Largest lead of an inertial sample's stamp over its estimate's."""
+"""Largest time by which an inertial sample may be ahead of its estimate."""
 AXES = ("north", "east", "down")
 VELOCITIES = tuple(f"velocity {axis}" for axis in AXES)
 TURNS = ("turn in all", "turn in heading", "turn in inclination")
@@ -57,14 +57,14 @@ class Entry:
 
     name: str
     solution: Solution | None
-    """None: the recording, or this machine, lacks what the filter needs."""
+    """None: the recording, or this machine, lacks something that the filter needs."""
     trajectory: Trajectory | None
     us: float
     """Processor time per inertial sample, microseconds."""
     notes: tuple[str, ...] = ()
     """Why there is no solution, or the notes of the solution."""
     span: tuple[float, float] | None = None
-    """First and last time scored, s; None: all that counts."""
+    """First and last time scored, s; None: all."""
     rms: Mapping[str, float] = field(default_factory=dict)
     """By row of the table, in its unit; NaN, or no row: not known."""
     nees: Mapping[str, float] = field(default_factory=dict)
@@ -163,7 +163,7 @@ def score_filters(
     until_s: float | None,
     counted: Counted | None = None,
 ) -> list[Entry]:
-    """Score each filter against the reference, from a time on at which all of them run.
+    """Score each filter against the reference, from the time at which all of them run.
 
     Args:
         entries: From :func:`run_filters`.

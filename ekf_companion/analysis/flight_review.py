@@ -1,4 +1,4 @@
-"""Everything that a report on a flight shows: estimates, what they are compared with, looks."""
+"""Everything that a report on a flight shows: estimates, references, innovations, spectra."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SEGMENT = 1024
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Innovations:
-    """Fixes less the estimate at their time, which did not know them yet."""
+    """Fixes less the estimate at their time, before the update."""
 
     t_ns: Stamps
     """Shape (n,)."""
@@ -60,7 +60,7 @@ class Spectra:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FlightReview:
-    """One flight, run through the estimator and looked at."""
+    """One flight, run through the estimator and reviewed."""
 
     name: str
     judgement: Judgement
@@ -76,25 +76,26 @@ class FlightReview:
     numbers: Numbers
     bands: tuple[Band, ...]
     jumps_ns: tuple[int, ...]
-    """When the estimate was reset: there it jumped."""
+    """Times of the resets: the estimate jumped there."""
     onboard: Onboard
     """Its stamps are on the clock of the estimates, that of the longest stretch."""
     settings: Mapping[str, str]
-    """Those of the estimator that are not the defaults."""
+    """Settings of the estimator that are not the defaults."""
     tiles: str = ""
     """Address of the tiles of a map under the track; empty: there is none."""
     tiles_credit: str = ""
     """What is written on the map."""
     begins_ns: tuple[int, ...] = ()
-    """Where the autopilot's clock began anew: all stamps are on one that runs on there."""
+    """Times at which the autopilot's clock began anew: all stamps are on one clock that
+    continues."""
     began_s: float | None = None
-    """When the recording began, s since 1970, UTC; None: the log does not say."""
+    """Start of the recording, s since 1970, UTC; None: not known."""
     has_sea_level: bool = True
-    """Whether heights are above mean sea level; else as a file with a place of its own counts."""
+    """Whether heights are above mean sea level; else above the zero of the file."""
 
     @property
     def duration(self) -> float:
-        """Seconds that are estimated."""
+        """Estimated time, s."""
         return sum(self.report.seconds.values())
 
     def to_dict(self) -> dict[str, Any]:
@@ -193,7 +194,7 @@ def _changed(config: Config) -> dict[str, str]:
 
 
 def _on_drawn_clock(found: Onboard, later_ns: int) -> Onboard:
-    """Return what the autopilot wrote, with stamps that are so much later."""
+    """Return the autopilot's texts with stamps shifted to the drawn clock."""
     moved = [
         one if one.t_ns is None else one._replace(t_ns=one.t_ns + later_ns)
         for one in found.messages
@@ -202,7 +203,7 @@ def _on_drawn_clock(found: Onboard, later_ns: int) -> Onboard:
 
 
 def _on_one_clock(blocks: Sequence[Block], shifts_ns: Stamps) -> tuple[Table, Events]:
-    """Return estimates and events, those after a reboot behind those before it."""
+    """Return estimates and events, with those after a reboot appended to those before it."""
     stretches = Stretches()
     tables: list[Table] = []
     parts: list[Events] = []
@@ -219,14 +220,14 @@ def _on_one_clock(blocks: Sequence[Block], shifts_ns: Stamps) -> tuple[Table, Ev
 
 
 def _looks_on_one_clock(looks: Sequence[Look], shifts_ns: Stamps) -> Iterator[Look]:
-    """Yield what the filter did in each second, likewise."""
+    """Yield the filter's state in each second, likewise."""
     stretches = Stretches().add(np.array([look.t_ns for look in looks], dtype=np.int64))
     for look, stretch in zip(looks, stretches.tolist(), strict=True):
         yield replace(look, t_ns=look.t_ns + int(shifts_ns[min(stretch, len(shifts_ns) - 1)]))
 
 
 def _moved(one: Trajectory, later_ns: int, lower: float) -> Trajectory:
-    """Return a trajectory that is so much later and lower."""
+    """Return a trajectory shifted in time and height."""
     return replace(
         one,
         pos_t_ns=one.pos_t_ns + later_ns,

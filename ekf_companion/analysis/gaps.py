@@ -1,4 +1,4 @@
-"""Where a line over time, or a track, must not be drawn through: in gaps, and where it jumped."""
+"""Where a line or a track must be interrupted: in gaps, and where it jumped."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 
 GAP_NS = 2_000_000_000
 GAP_STEPS = 5.0
-"""A line is not drawn over steps longer than that, ns, nor than so many of its usual ones."""
+"""Steps longer than this, ns, and longer than so many usual ones, are not drawn over."""
 
 
 def begins(t_ns: Stamps, jumps_ns: Sequence[int] = ()) -> Indices:
@@ -18,7 +18,7 @@ def begins(t_ns: Stamps, jumps_ns: Sequence[int] = ()) -> Indices:
 
     Args:
         t_ns: Ascending, shape (n,).
-        jumps_ns: When what is drawn jumped: the first row at or after each begins a piece.
+        jumps_ns: Times of jumps: the first row at or after each begins a piece.
     """
     steps = np.diff(t_ns)
     if not len(steps):
@@ -40,7 +40,7 @@ def broken(
 def thinned(t_ns: Stamps, most: int, jumps_ns: Sequence[int] = ()) -> tuple[Indices, Mask]:
     """Return rows of a track, every n-th and the ends of its pieces, and which end a piece.
 
-    The gaps are those of all rows: of a long flight, few of its rows have longer ones between them.
+    Gaps are found in all rows: between the rows of a thinned long flight every step is long.
     """
     at = begins(t_ns, jumps_ns)
     every = np.arange(0, len(t_ns), max(-(-len(t_ns) // most), 1))

@@ -1,4 +1,4 @@
-"""The one judgement on a log that convert, report, view and batch print."""
+"""The one verdict on a log that convert, report, view and batch print."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ekf_companion.replay.track import Size
 from ekf_companion.replay.verdict import Evidence, Judgement, judge
 
 FEWEST_FIXES = 20
-"""Fixes from which on the receiver is a witness."""
+"""Fewest fixes by which two estimates are compared with the receiver."""
 
 
 def take_truth(report: Report, truth: Trajectory | None) -> None:
@@ -50,12 +50,12 @@ def take_truth(report: Report, truth: Trajectory | None) -> None:
 
 
 def judge_log(report: Report) -> Judgement:
-    """Judge a conversion by the truth that its log holds, else by the other witnesses in it."""
+    """Judge a conversion by the truth in its log, else by the other references in it."""
     return judge(report, evidence_of(report))
 
 
 def evidence_of(report: Report) -> Evidence:
-    """Return how far the estimate is from what else knew the position."""
+    """Return how far the estimate is from other sources of the position."""
     ours = report.track.positions()
     return Evidence(
         sigma=report.track.sigma(),
@@ -89,7 +89,7 @@ def _median(values: Array) -> float:
 def _to_fixes(
     report: Report, ours: Trajectory, other: Trajectory | None, size: Callable[[Array], float]
 ) -> tuple[float, float] | None:
-    """Return sizes of the distances of ours and another from the same fixes, m; None: too few."""
+    """Return the distances of ours and of another from the same fixes, m; None: too few."""
     if other is None or len(other.pos_t_ns) < 2 or len(ours.pos_t_ns) < 2:
         return None
     fixes = report.track.fixes(report.fix_delay)

@@ -20,19 +20,19 @@ from ekf_companion.replay.report import summary
 from ekf_companion.replay.watched import Look
 
 MOMENTS = 6000
-"""Of the slider, at most: a tenth of a second each in a flight of ten minutes."""
+"""Most moments of the slider: a tenth of a second each in a flight of ten minutes."""
 APART_S = 1.0
-"""Farther from the next row, s, a trajectory is not known."""
+"""Time to the next row, s, beyond which a trajectory is not known."""
 BEHIND_S = 1e-3
-"""So long after the last value before a gap stands one that is not known, s."""
+"""Time after the last value before a gap at which a NaN is inserted, s."""
 _KINDS = {"good": "good", "poor": "bad"}
-"""Colours of the grades; of the others ``wait``: they are doubts, no failures."""
+"""Colours of the grades; all others are ``wait``: warnings, not failures."""
 _AXES = ("north", "east", "down")
 Columns = dict[str, list[float]]
 
 
 def to_json(review: FlightReview) -> bytes:
-    """Return what the page shows of a flight; NaN becomes null, which ends a line."""
+    """Return the page's data of a flight; NaN becomes null, which interrupts a line."""
     stamps, rows = np.unique(review.table.stamp_ns, return_index=True)
     moments = _moments(stamps, [review.ours, *review.others])
     zero_ns = int(stamps[0])
@@ -63,7 +63,7 @@ def to_json(review: FlightReview) -> bytes:
 
 
 def _moments(stamps: Stamps, trajectories: Sequence[Trajectory]) -> Stamps:
-    """Return the moments of the slider: evenly, and one in each gap, so that lines end there."""
+    """Return the moments of the slider: evenly spaced, and one in each gap, to interrupt lines."""
     even = np.linspace(stamps[0], stamps[-1], min(len(stamps), MOMENTS)).astype(np.int64)
     drawn = [(one.pos_t_ns, one.vel_t_ns, one.att_t_ns) for one in trajectories]
     missing = [gaps.middles(t_ns) for t_ns in (stamps, *chain.from_iterable(drawn))]
@@ -140,7 +140,7 @@ def _estimate(
 
 
 def _innovations(review: FlightReview, zero_ns: int) -> dict[str, Any] | None:
-    """Return fixes less the estimate, with three sigmas, by what and axis."""
+    """Return fixes less the estimate, with three sigmas, by quantity and axis."""
     found = review.innovations
     if found is None:
         return None
@@ -190,7 +190,7 @@ def _looks(review: FlightReview, zero_ns: int) -> dict[str, Any]:
 
 
 def _events(review: FlightReview, zero_ns: int) -> list[dict[str, Any]]:
-    """Return resets, changes of the status and refusals that begin, in the order of time."""
+    """Return resets, changes of the status and beginnings of refusals, in the order of time."""
     events = [
         {"t": (look.t_ns - zero_ns) * 1e-9, "level": "warning", "text": f"Reset: {look.reset}"}
         for look in review.looks

@@ -1,4 +1,4 @@
-"""A map under a track: tiles of a server in the web's Mercator projection, by their places.
+"""A map under a track: tiles of a server in the web's Mercator projection.
 
 Source: https://wiki.openstreetmap.org/wiki/Slippy_map_tilenames.
 """
@@ -20,13 +20,13 @@ NORTHERNMOST = 85.0
 FINEST = 18
 """Most servers have no finer tiles."""
 ACROSS = 3
-"""Tiles of a track's longer side, about: 256 pixels each."""
+"""Approximate number of tiles along a track's longer side: 256 pixels each."""
 MARGINS = 0.8, 0.35
-"""Of the longer side, drawn beyond the track at its sides, and above and below it."""
+"""Shares of the longer side that are added to the track at its sides, and above and below it."""
 
 
 class Tile(NamedTuple):
-    """One picture, and what it shows, deg."""
+    """One picture, and its extent, deg."""
 
     url: str
     south: float
@@ -36,12 +36,12 @@ class Tile(NamedTuple):
 
 
 def tiles(address: str, south: float, west: float, north: float, east: float) -> list[Tile]:
-    """Return the tiles under a rectangle and somewhat beyond it, deg; none beyond the map.
+    """Return the tiles under a rectangle and its margins, deg; none beyond the map.
 
     Args:
         address: Of a tile, with {z}, {x} and {y} for its zoom, column and row.
         south: Of the rectangle, deg; likewise the others.
-        west: A rectangle over the antimeridian has none.
+        west: A rectangle over the antimeridian has no tiles.
         north: Likewise.
         east: Likewise.
     """
@@ -102,7 +102,7 @@ def draw(
 
 
 def _numbers(begin: float, end: float, count: int) -> range:
-    """Return the numbers of the tiles between two places on the map, of which 1 is its end."""
+    """Return the numbers of the tiles between two positions on the map, of which 1 is the end."""
     return range(max(floor(begin * count), 0), min(ceil(end * count), count))
 
 

@@ -1,4 +1,4 @@
-"""Observability in sentences: when each state becomes observable, and what was lacking until then.
+"""Observability in sentences: when each state becomes observable, and what was missing before.
 
 Statements on the motion are measured: turns, changes of tilt and accelerations with their times.
 That a state needs motion is measured too: the same aids at rest do not make it observable.
@@ -187,7 +187,7 @@ def _lack(found: Observability, state: int) -> str:
         never = [f"no {kind}" for kind, t in found.motion.onsets().items() if np.isinf(t)]
         said = _and(never) if never else f"this motion does not show it ({_moved(found, end)})"
     if partner := _partner(found, state):
-        said += f"; it cannot be told from {partner}"
+        said += f"; it cannot be separated from {partner}"
     return said
 
 

@@ -32,11 +32,11 @@ _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")
 _REFUSED = {
     Verdict.GATED: "refused by gates, per second",
-    Verdict.SUSPECT: "not used as the receiver doubts itself, per second",
+    Verdict.SUSPECT: "not used: the receiver reports interference, per second",
     Verdict.DISTURBED: "not used as the magnetic field is disturbed, per second",
     Verdict.DENIED: "within their gates and contradicted by other evidence, per second",
 }
-"""Titles of the charts of what was refused, by why."""
+"""Titles of the charts of refusals, by reason."""
 _BANDS: dict[Status | None, str] = {
     **dict.fromkeys((Status.INIT, Status.ALIGNING), "#aab7b8"),
     Status.ATTITUDE: "#5dade2",
@@ -46,7 +46,7 @@ _BANDS: dict[Status | None, str] = {
     Status.INVALID: "#c0392b",
     None: "#566573",
 }
-"""Colours of the statuses; of a time without estimates."""
+"""Colours of the statuses, and of times without estimates."""
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 1.2em auto; max-width: 1340px; padding: 0 1em;
        color: #1c2833; background: #fdfefe; }
@@ -160,7 +160,7 @@ def _tables(review: FlightReview, sheet: Sheet) -> str:
 
 
 def _when(review: FlightReview) -> str:
-    """Return when and how long was flown, and with what."""
+    """Return time, duration and vehicle of the flight."""
     words = []
     if review.began_s is not None and 0.0 < review.began_s < LATEST_S:
         began = datetime.fromtimestamp(review.began_s, timezone.utc)
@@ -188,7 +188,7 @@ def write(path: Path, review: FlightReview) -> None:
 
 
 def _short(name: str) -> str:
-    """Return a trajectory's name without the messages that it is from: a legend is narrow."""
+    """Return a trajectory's name without its messages, since a legend is narrow."""
     return name.partition(" (")[0]
 
 
@@ -217,7 +217,7 @@ def _bands(review: FlightReview, sheet: Sheet) -> list[Any]:
 
 
 def _coloured(review: FlightReview) -> list[tuple[Trajectory, str]]:
-    """Return all trajectories with their colours, which tell ours from the others anywhere."""
+    """Return all trajectories with their colours, the same in all figures."""
     colours = [_AUTOPILOT] if review.report.truth is None else [_TRUTH, _AUTOPILOT]
     return [(review.ours, _OURS), *zip(review.others, colours, strict=False)]
 

@@ -1,7 +1,6 @@
-"""The figures of a report: lines over one time axis, drawn by Bokeh, that show what is usual.
+"""The figures of a report, drawn by Bokeh: lines over one time axis, robust against outliers.
 
-An outlier does not spoil an axis: at first it shows what nearly all values are within, and a switch
-on the page shows all.
+At first an axis shows the range of nearly all values; a switch on the page shows all.
 """
 
 from __future__ import annotations
@@ -16,27 +15,27 @@ from ekf_companion.analysis.status_bands import joined
 from ekf_companion.nav.arrays import Array, Stamps
 
 POINTS = 1500
-"""Of a line: more than a screen has columns. 30 lines of them are 0.7 MB."""
+"""Points of a line: more than a screen has columns. 30 lines of them are 0.7 MB."""
 USUAL = (0.5, 99.5)
 """Percentiles of a line that an axis shows at first."""
 MUCH = 1.6
-"""All is shown at first, unless that takes so many times the span of what is usual."""
+"""All is shown at first unless its span is so many times that of the usual values."""
 MARGIN = 0.08
-"""Of the span, on each side."""
+"""Share of the span, on each side."""
 ELSEWHERE = 100_000.0
-"""m."""
+"""Distance from the median of a track beyond which a position is an outlier, m."""
 LEAP = 20.0
-"""Times the distance between the quartiles of a track."""
+"""The same, as a multiple of the distance between the quartiles."""
 HEIGHT, TALL = 280, 400
-"""Pixels of a figure over time, and of a map; as wide as the column of the page."""
+"""Pixels of a figure over time, and of a map; the width is the page's."""
 BAND = 34
 """Pixels of a row of bands, with its name."""
 AXIS = 45
-"""Pixels that an upward axis takes beside a figure with usual numbers."""
+"""Pixels that the vertical axis takes beside a figure with usual numbers."""
 ROWS, ROW, LABEL = 12, 12, 0.3
 """Rows of labels, the height of one in pixels, and a label's width, a share of a phone's figure."""
 _CONSTANT = 1e-8
-"""Twice as wide as what is shown of a constant at least."""
+"""Width of the usual span up to which a line counts as constant: twice the narrowest one."""
 
 Line = tuple[str, Stamps, Array, str]
 """Name, stamps (ns), values, colour."""
@@ -46,7 +45,7 @@ Span = tuple[float, float]
 
 
 def thin(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return a line with few points that has the same outline: the extremes of each piece."""
+    """Return a line with few points and the same outline: the extremes of each piece."""
     if len(x) <= POINTS:
         return x.astype(np.float32), y.astype(np.float32)
     # Pieces of one length, as rows: the last one is filled up with its last value
@@ -65,7 +64,7 @@ def thin(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def usual_span(series: Iterable[Array]) -> tuple[Span, Span] | None:
-    """Return what nearly all values of each line are within, and all of them; None: there are none.
+    """Return the range of nearly all values of each line, and that of all; None: no values.
 
     Both have a margin, and neither is narrower than 1e-9.
     """
@@ -85,13 +84,13 @@ def _with_margin(low: float, high: float) -> Span:
 
 
 def is_cut(usual: Span, whole: Span) -> bool:
-    """Return whether an axis begins with less than the whole; that of a constant does not."""
+    """Return whether an axis shows less than all at first; that of a constant does not."""
     width = usual[1] - usual[0]
     return width > _CONSTANT and whole[1] - whole[0] > MUCH * width
 
 
 def rows_of_labels(places: Sequence[float], span: float) -> list[int | None]:
-    """Return the row of each of the labels at ascending places; None: there is room in no row."""
+    """Return the row of each label at ascending positions; None: no row has room."""
     ends = [-np.inf] * ROWS
     found: list[int | None] = []
     for place in places:
@@ -103,10 +102,10 @@ def rows_of_labels(places: Sequence[float], span: float) -> list[int | None]:
 
 
 def without_leaps(track: Array) -> Array:
-    """Return the rows of a track, north, east, shape (n, 2) or more, that one vehicle can be at.
+    """Return the rows of a track, north, east, shape (n, 2) or more, without outliers.
 
-    Left out is what is ``ELSEWHERE`` from the median, and also many times as far as half of the
-    track is spread: where a damaged file, or a receiver's first fix, puts a part of it.
+    Left out is what is farther than ``ELSEWHERE`` from the median, and also farther than a multiple
+    of the spread of half of the track: positions of a damaged file, or of a receiver's first fix.
     """
     place = track[:, :2]
     known = place[np.isfinite(place).all(axis=1)]
@@ -118,15 +117,15 @@ def without_leaps(track: Array) -> Array:
 
 
 class Sheet:
-    """Draws figures whose time axes are one, from the first estimate on."""
+    """Draws figures with a common time axis, from the first estimate on."""
 
     def __init__(self, zero_ns: int, begins_ns: Sequence[int] = (), end_ns: int = 0) -> None:
         """Draw nothing yet.
 
         Args:
-            zero_ns: Where the time axis is zero.
-            begins_ns: Where the autopilot's clock began anew: a line there says so.
-            end_ns: Where the time axis ends.
+            zero_ns: Zero of the time axis.
+            begins_ns: Times at which the autopilot's clock began anew, which are marked by a line.
+            end_ns: End of the time axis.
         """
         from bokeh.models import DataRange1d
 
@@ -182,7 +181,7 @@ class Sheet:
     def line(self, plot: Any, t_ns: Stamps, values: Array, dots: int = 0, **look: Any) -> None:
         """Draw one line over time into a figure.
 
-        With dots, of so many pixels, a value that stands alone between two gaps is seen too.
+        Dots, whose size is in pixels, also show a single value between two gaps.
         """
         x, y = thin(*broken(t_ns, self.seconds(t_ns), np.asarray(values, dtype=float)))
         drawn = plot.line(x, y, **{"line_width": 1.4, **look})
@@ -191,7 +190,7 @@ class Sheet:
             plot.scatter("x", "y", source=drawn.data_source, size=dots, color=colour)
 
     def bands(self, title: str, rows: Sequence[Bands]) -> Any:
-        """Return a figure of bands over time, a row below the other, its name above each."""
+        """Return a figure of bands over time, one row below the other, each under its name."""
         from bokeh.models import Label
 
         height = BAND * len(rows) + 90
@@ -219,7 +218,7 @@ class Sheet:
         return plot
 
     def mark(self, plot: Any, marks: Sequence[tuple[int, str]]) -> None:
-        """Draw upright lines at ascending stamps, with words, of which none covers another."""
+        """Draw vertical lines at ascending stamps, with labels that do not overlap."""
         from bokeh.models import Label, Span
 
         if not marks:
@@ -233,7 +232,7 @@ class Sheet:
                 plot.add_layout(Label(x=second, text=f" {words}", **look))
 
     def limit(self, plot: Any, series: Sequence[Array]) -> None:
-        """Let the upward axis show at first what is usual in some lines."""
+        """Let the vertical axis show at first the usual range of some lines."""
         from bokeh.models import Range1d
 
         spans = usual_span(series)
@@ -244,9 +243,9 @@ class Sheet:
         self._cut(plot, plot.y_range, usual, whole)
 
     def limit_map(self, plot: Any, tracks: Sequence[Array]) -> None:
-        """Let a map, whose axes have one scale, show at first where some tracks usually are.
+        """Let a map, whose axes have one scale, show at first the usual range of some tracks.
 
-        The tracks are north, east, shape (n, 2) or more. Nothing is cut off that is near.
+        The tracks are north, east, shape (n, 2) or more. Nothing near is cut off.
         """
         spans = []
         for axis in (1, 0):

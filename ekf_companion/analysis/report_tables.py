@@ -44,15 +44,15 @@ _ERRORS = {
     "pitch": "pitch",
     "yaw": "yaw",
 }
-"""Of a score: what is shown, and how it is called."""
+"""Fields of a score that are shown, and their titles."""
 _SEVERE = LEVELS[:4]
 PARAMETERS = (
     *("EK2_", "EK3_", "EKF", "GPS", "COMPASS_", "AHRS_", "INS_", "BARO", "GND_"),
     *("SENS_", "CAL_", "IMU_", "ATT_", "SYS_HAS_", "VISO_", "MAG_"),
 )
-"""Beginnings of the names of what bears on an estimate: of ArduPilot and PX4."""
+"""Prefixes of the parameters of ArduPilot and PX4 that affect an estimate."""
 NOT_OF_IT = ("INS_LOG_", "INS_HNTC", "INS_HNTCH", "INS_HNTC2", "INS_NOTCH", "EKF2_LOG")
-"""What is for the log, or filters what the controllers see."""
+"""Prefixes of those that only affect the log, or filters of the controllers' input."""
 
 
 def title(text: str) -> str:
@@ -61,7 +61,7 @@ def title(text: str) -> str:
 
 
 def head(review: FlightReview) -> str:
-    """Return what stands below the verdict: the flight's numbers, and a table of the errors."""
+    """Return the part below the verdict: the flight's numbers, and a table of the errors."""
     return _facts(review) + _errors(review.numbers, review.duration)
 
 
@@ -113,7 +113,7 @@ def _errors(numbers: Numbers, duration: float) -> str:
 
 
 def _short(name: str) -> str:
-    """Return a trajectory's name without the messages that it is from."""
+    """Return a trajectory's name without its messages."""
     return {"autopilot": "the autopilot", "simulator": "the truth"}.get(
         short := name.partition(" (")[0], short
     )
@@ -125,7 +125,7 @@ def _spread(one: Score, name: str) -> tuple[float, float, float] | None:
 
 
 def _digits(value: float) -> str:
-    """Return a number with as many digits as one reads of it."""
+    """Return a number with as many digits as a reader needs."""
     if not np.isfinite(value):
         return ""
     size = abs(value)
@@ -133,7 +133,7 @@ def _digits(value: float) -> str:
 
 
 def vibration(found: Vibration | None, when: Callable[[int], float]) -> str:
-    """Return what the inertial samples shake; ``when`` gives the page's time of a stamp, s."""
+    """Return the vibration of the samples; ``when`` returns the page's time of a stamp, s."""
     if found is None:
         return ""
     rows = (
@@ -158,7 +158,7 @@ def vibration(found: Vibration | None, when: Callable[[int], float]) -> str:
 
 
 def parameters(found: Onboard) -> str:
-    """Return the autopilot's parameters that bear on an estimate."""
+    """Return the autopilot's parameters that affect an estimate."""
     chosen = {
         name: value
         for name, value in sorted(found.parameters.items())
@@ -172,7 +172,7 @@ def parameters(found: Onboard) -> str:
 
 
 def messages(found: Onboard, when: Callable[[int], float]) -> str:
-    """Return what the autopilot said, with times of the page."""
+    """Return the autopilot's messages, with times of the page."""
     if not found.messages:
         return ""
     body = []
@@ -192,7 +192,7 @@ def messages(found: Onboard, when: Callable[[int], float]) -> str:
 
 
 def settings(review: FlightReview) -> str:
-    """Return with what the estimate was made."""
+    """Return the version and settings that made the estimate."""
     pairs = [("ekf-companion", __version__)]
     if review.onboard.firmware:
         pairs.append(("autopilot", review.onboard.firmware))
@@ -203,7 +203,7 @@ def settings(review: FlightReview) -> str:
 
 
 def band_words(found: Sequence[Band]) -> list[str]:
-    """Return the name of each band, with how long it held."""
+    """Return the name of each band, with its duration."""
     return [f"{one.name}, {_seconds(one.seconds)}" for one in found]
 
 

@@ -1,4 +1,4 @@
-"""The status of an estimate over time as bands: since when, until when, and why."""
+"""The status of an estimate over time as bands: from when, until when, and why."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class Band(NamedTuple):
     """A row of bands over time."""
 
     name: str
-    """What held: a status, or a status and the foremost of its reasons."""
+    """Its status, or status and foremost reason."""
     status: Status | None
     """None: nothing was estimated."""
     spans_ns: tuple[tuple[int, int], ...]
-    """From when to when, ascending."""
+    """Begin and end of each span, ascending."""
     seconds: float
-    """How long it held in all, as the summary counts it: the reasons of a status add up to it."""
+    """Total duration, as the summary counts it: the reasons of a status add up to it."""
 
 
 def bands(table: Table) -> tuple[Band, ...]:
     """Return a band for each status that occurs and, below the statuses, for each of its reasons.
 
-    Where several reasons hold the foremost is shown.
+    Where several reasons hold, the foremost is shown.
     """
     if not len(table):
         return ()
@@ -58,7 +58,7 @@ def bands(table: Table) -> tuple[Band, ...]:
 
 
 def joined(spans_ns: Sequence[tuple[int, int]], least_ns: int) -> list[tuple[int, int]]:
-    """Return ascending spans with those put together between which there is less."""
+    """Return ascending spans, joined where less than a gap lies between them."""
     found: list[tuple[int, int]] = []
     for begin, end in spans_ns:
         if found and begin - found[-1][1] < least_ns:
@@ -69,7 +69,7 @@ def joined(spans_ns: Sequence[tuple[int, int]], least_ns: int) -> list[tuple[int
 
 
 def _spans(t_ns: Stamps, holds: Mask) -> tuple[tuple[int, int], ...]:
-    """Return from when to when something held: until the next estimate, but over no gap."""
+    """Return the spans of a status: from an estimate to the next one, but not over gaps."""
     until = np.append(t_ns[1:], t_ns[-1])
     until = np.where(until - t_ns > GAP_NS, t_ns, until)
     begins = holds & ~np.append(False, holds[:-1] & (np.diff(t_ns) <= GAP_NS))

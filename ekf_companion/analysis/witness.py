@@ -1,4 +1,4 @@
-"""Yaw, tilt and height of an estimate beside a witness's: the log's truth, or the autopilot's."""
+"""Yaw, tilt and height of an estimate against a reference: the log's truth or the autopilot's."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ekf_companion.replay.departure import (
 from ekf_companion.replay.report import Report
 
 STEEP = np.deg2rad(60.0)
-"""Pitch, rad, beyond which yaw is nearly a turn about the axis of roll."""
+"""Pitch, rad, beyond which yaw is nearly a rotation about the axis of roll."""
 FAST_NS = 250_000_000
-"""Longest step, in the median, from which the next turn can be told, and so a jump."""
+"""Longest step, in the median, at which the next rotation can be predicted, and a jump found."""
 UNKNOWN = 1.0
-"""One sigma of yaw, rad, from which on there is no heading to compare: of one that may be any it is
-1.8."""
+"""One sigma of yaw, rad, from which on there is no heading to compare: uniform over the circle it
+is 1.8."""
 STEP_NS = 500_000_000
 """Longest step between two stamps that counts as time beyond a sigma."""
 
@@ -34,7 +34,7 @@ STEP_NS = 500_000_000
 def departure_of(report: Report, ours: Trajectory) -> Departure:
     """Return how far yaw, tilt and height are from a truth's, else from the autopilot's.
 
-    Without a position they are those of the attitudes alone.
+    Without positions the attitudes alone are compared.
     """
     if not len(ours.pos_t_ns):
         ours = report.track.attitudes()
@@ -78,7 +78,7 @@ def _angles(
 
 
 def _yaw_errors(mine: Array, theirs: Array) -> Array:
-    """Return how far two yaws differ, rad; NaN where either attitude is steep."""
+    """Return the difference of two yaws, rad; NaN where either attitude is steep."""
     eulers = np.stack([so3.to_euler(q) for q in (mine, theirs)])
     errors = np.abs(so3.wrap(eulers[0, :, 2] - eulers[1, :, 2]))
     errors[(np.abs(eulers[..., 1]) > STEEP).any(axis=0)] = np.nan
@@ -100,7 +100,7 @@ def _turns(q_nb: Array) -> Array:
 
 
 def _lasting(at_ns: Stamps, beyond: Mask) -> Mask:
-    """Keep what lasts: in a fast turn two clocks that differ by a little differ in attitude too."""
+    """Keep errors that last: in a fast turn, clocks that differ a little look like an error."""
     steps, found = _steps(at_ns), np.zeros(len(beyond), dtype=np.bool_)
     for begin, end in runs(beyond):
         found[begin:end] = steps[begin:end].sum() >= LONG_S
@@ -108,7 +108,7 @@ def _lasting(at_ns: Stamps, beyond: Mask) -> Mask:
 
 
 def _jumps(beyond: Mask, *turns: Array) -> Mask:
-    """Return where an error is beyond its sigma since the witness's jumped; a truth does not."""
+    """Return where an error is beyond its sigma since a jump of the reference; a truth has none."""
     is_theirs = np.zeros(len(beyond), dtype=np.bool_)
     for begin, end in runs(beyond) if turns else ():
         is_theirs[begin:end] = _jumped(begin, *turns)
@@ -116,9 +116,9 @@ def _jumps(beyond: Mask, *turns: Array) -> Mask:
 
 
 def _jumped(row: int, mine: Array, theirs: Array) -> bool:
-    """Return whether the witness's attitude jumped just before a row, and ours did not.
+    """Return whether the reference's attitude jumped just before a row, and ours did not.
 
-    A vehicle turns from one step to the next much as before, an estimate that is reset does not.
+    A vehicle turns in one step much as in the step before; an estimate that is reset does not.
     """
     first, last = max(row - 2, 0), min(row + 1, len(mine))
     around = np.r_[max(first - 3, 0) : first, last : min(last + 3, len(mine))]

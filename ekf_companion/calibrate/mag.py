@@ -128,7 +128,7 @@ def measure_field(mag_b: Array, strength: float | None, name: str = "the log") -
         is_circle = radius > FLATTEST and fit.rms < OVAL * radius and turned >= TURNED
         if not is_circle or fit.hard_std.max() > SURE_HARD:
             raise LogError(
-                f"{name}: the vehicle has hardly turned, so its iron cannot be told from the "
+                f"{name}: the vehicle has hardly turned, so its iron cannot be separated from the "
                 "Earth's field; turn it all ways round, or at least full circles on level ground"
             )
     return Iron(
@@ -260,7 +260,7 @@ def _notes(found: Iron) -> list[str]:
     ]
     if found.method == "hard iron":
         notes.append(
-            "too few to tell soft iron, so hard iron alone was fitted, and its sigma allows for "
+            "too few to find soft iron, so hard iron alone was fitted, and its sigma allows for "
             f"a soft iron of {100.0 * ellipsoid.LIKELY_SOFT:.0f} %; for both, turn the vehicle all "
             "ways round, nose up, nose down, on each side and on its back"
         )

@@ -83,7 +83,7 @@ def measure(recording: Recording, settings: FilterSettings, name: str = "the log
     else:
         notes.append("the receiver: no GNSS fix of its own in the log")
     if inertial is None and not receivers:
-        raise LogError(f"{name}: tells nothing of noise: {'; '.join(notes)}")
+        raise LogError(f"{name}: shows nothing of the noise: {'; '.join(notes)}")
     return Noises(inertial=inertial, receivers=tuple(receivers), notes=tuple(notes))
 
 
@@ -265,13 +265,13 @@ def _gnss_settings(found: Receiver, present: GnssSettings) -> list[Setting]:
 def _gnss_note(found: Receiver) -> str:
     def said(scatter: Scatter | None, name: str, unit: str, stated: float) -> str:
         if scatter is None:
-            return f"{name} not to be told"
+            return f"{name} not determined"
         if scatter.time is not None:
             slow = f"{scatter.slow:.2g} {unit} slow ({scatter.time:.0f} s)"
         elif scatter.slow < 0.5 * scatter.white:
             slow = f"nothing slow in {scatter.seconds:.0f} s"
         else:
-            slow = f"slow error not to be told apart, at most {scatter.slow:.2g} {unit}"
+            slow = f"slow error not separable, at most {scatter.slow:.2g} {unit}"
         claim = f", stated {stated:.2g}" if np.isfinite(stated) else ""
         return f"{name} {scatter.white:.2g} {unit} white, {slow}{claim}"
 

@@ -3,8 +3,8 @@
 Exit codes: 0 done, 1 a package of an extra is missing or a bug, 2 the command line or the
 configuration is wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from,
 or an output cannot be written, 4 ``status`` finds no daemon (and 1 one that is not healthy), 5 the
-doctor has found a stage that fails, or ``preflight`` what speaks against a take-off, 6
-``preflight`` finds the vehicle armed.
+doctor has found a stage that fails, or ``preflight`` a reason against a take-off, 6 ``preflight``
+finds the vehicle armed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ COMMANDS = {
     "status": _Entry(
         "status",
         "status",
-        "Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer.",
+        "Show the daemon's state. Exit code: 0 ok, 1 no current estimate or invalid, 4 no answer.",
     ),
     "preflight": _Entry(
         "preflight",
@@ -91,17 +91,17 @@ OTHER_OPTIONS = {
     "--link": (_PORTS, "serial:/dev/ttyACM0:921600 or udpin:0.0.0.0:14540 names the autopilot"),
     "--out": (("--output", "--out-file"), "-o FILE names a file to write"),
 }
-"""Options of ours by name: what other programs call them, and what is given to them."""
+"""Our options by name: how other programs call them, and their argument."""
 
 
 _OF_ONE_LOG = ("convert", "report", "view")
-"""Commands for which batch is what does many logs."""
+"""Commands that take one log: batch takes many."""
 _USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__bases__[0])
-"""Of any wrong command line: typer does not name it."""
+"""Exit code of any wrong command line, which typer does not name."""
 
 
 class _Command(Command):
-    """A command that says what to give in place of an option that it lacks, or that is missing."""
+    """A command that names the right option where one is missing or unknown."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments of the command line.
@@ -130,7 +130,7 @@ class _Command(Command):
 
 
 class _Commands(Group):
-    """The commands, each imported when it is called: the help of all starts without any."""
+    """The commands, each imported when it is called, so that the help starts quickly."""
 
     def list_commands(self, ctx: object) -> list[str]:
         """Return the names in the order of the help."""
@@ -155,7 +155,7 @@ class _Commands(Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; print a sentence where what it imports is not installed or compiled."""
+        """Run the command; print a sentence where an import is not installed or compiled."""
         try:
             return super().invoke(ctx)
         except (MissingPackageError, NotCompiledError) as error:

@@ -1,4 +1,4 @@
-"""What every command of ours and of the fake autopilot refuses."""
+"""Checks that every command of ours and of the fake autopilot makes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 
 
 class Command(TyperCommand):
-    """A command whose numbers are numbers: no range of an option refuses nan."""
+    """A command whose numeric options refuse NaN, which no range of an option does."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments of the command line.
@@ -32,7 +32,7 @@ class Command(TyperCommand):
 
 
 class Group(TyperGroup):
-    """Commands that end with a sentence where the standard output takes nothing more."""
+    """Commands that end with a sentence if the standard output cannot be written."""
 
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command line."""
@@ -42,7 +42,7 @@ class Group(TyperGroup):
 
 @contextmanager
 def _exit_without_output(name: str) -> Iterator[None]:
-    """Exit with 3 and a sentence where the standard output has no room: it is an output too."""
+    """Exit with 3 and a sentence where the standard output has no room, as for any output."""
     try:
         try:
             yield
@@ -61,7 +61,7 @@ def _exit_without_output(name: str) -> Iterator[None]:
 
 
 def _is_output_failing() -> bool:
-    """Return whether the standard output refuses an empty line too: it names itself in no error."""
+    """Return whether the standard output refuses even an empty line: errors do not name it."""
     try:
         sys.stdout.write("\n")
         sys.stdout.flush()

@@ -77,13 +77,13 @@ def compare(
 
 
 class _Ours(NamedTuple):
-    """Our estimate of a log, and what the log holds beside it."""
+    """Our estimate of a log, and the references in it."""
 
     estimate: Trajectory
     live: list[Trajectory]
-    """The live filter's, where the estimate is smoothed."""
+    """Estimate of the live filter, where ours is smoothed."""
     report: Report | None = None
-    """On the run; None where the estimate was read."""
+    """Report of the run; None where the estimate was read from a file."""
 
     @property
     def own(self) -> Trajectory | None:
@@ -179,7 +179,7 @@ def _compare_ours(
 
 
 def _if_own(reference: Path | None, words: str) -> str:
-    """Return what the numbers are beside an estimate that we wrote; empty: it is none."""
+    """Return a note on comparing with an estimate that we wrote; empty: it is not ours."""
     from ekf_companion.logs.estimate import OWN, is_estimate
 
     if reference is None or not is_estimate(reference):
@@ -188,7 +188,7 @@ def _if_own(reference: Path | None, words: str) -> str:
 
 
 def _left_out(seconds: float) -> str:
-    """Return the line on the start, which does not count."""
+    """Return the line on the start, which is left out."""
     return f"the first {seconds:g} s are left out (--skip 0 counts them)"
 
 

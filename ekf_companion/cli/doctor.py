@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 STAGE_FAILED = 5
 """Exit code if a stage fails."""
 _PEER = ("system_id", "component_id", "family", "version")
-"""What is printed of the autopilot."""
+"""Template of the line about the autopilot."""
 
 
 def doctor(
@@ -71,7 +71,7 @@ def doctor(
 
 
 def _ask(url: str) -> tuple[list[StageResult], dict[str, Any]]:
-    """Return what a running daemon's status shows at each stage, and what it is about."""
+    """Return the stages by a running daemon's status, and a line about the daemon."""
     from ekf_companion.cli.status import NO_DAEMON, fetch
     from ekf_companion.doctor.running import diagnose_running
 
@@ -118,7 +118,7 @@ def _examine(
 
 
 def _about(evidence: Evidence, log: Path | None) -> dict[str, Any]:
-    """Return what was examined, and how."""
+    """Return a line on what was examined, and how."""
     peer = evidence.peer
     return {
         "examined": str(log) if log else evidence.config.link.url,

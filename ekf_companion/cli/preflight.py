@@ -47,7 +47,7 @@ def preflight(
 
 
 def _ask(url: str) -> tuple[int, dict[str, Any]]:
-    """Return the exit code, and the verdict as ``/status`` has it."""
+    """Return the exit code, and the verdict as ``/status`` contains it."""
     answer = fetch(url)
     if answer.code == NO_DAEMON:
         return NO_DAEMON, _unknown(answer)
@@ -60,7 +60,7 @@ def _ask(url: str) -> tuple[int, dict[str, Any]]:
 
 
 def _unknown(answer: Answer) -> dict[str, Any]:
-    """Return a verdict of a daemon that gave none."""
+    """Return a verdict for a daemon that sent none."""
     words = answer.sentence if answer.code == NO_DAEMON else f"not ready: {answer.sentence}"
     reasons = [answer.sentence]
     return {"ready": False, "sentence": words, "reasons": reasons, "notes": [], "causes": []}

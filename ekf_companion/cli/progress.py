@@ -11,14 +11,14 @@ from threading import Event, Thread
 from typing import TextIO
 
 QUIET_S = 2.0
-"""Seconds without a word after which a user wonders whether anything goes on."""
+"""Seconds without output after which a user wonders whether anything happens."""
 REDRAW_S = 0.5
 _CLEAR = "\r\x1b[2K"
-"""To the begin of the terminal's line, and without what stood there."""
+"""Moves to the beginning of the terminal's line, and clears it."""
 
 
 class Progress:
-    """What is under way and how much of it is done; called with the parts done and with all."""
+    """A task, and how much of it is done; called with the parts done, and with all."""
 
     def __init__(
         self, title: str, *, is_terminal: bool, width: int = 80, in_seconds: bool = False
@@ -26,8 +26,8 @@ class Progress:
         """Begin.
 
         Args:
-            title: What is under way.
-            is_terminal: Whether a line can be overwritten; else each is another, ever more seldom.
+            title: Name of the task.
+            is_terminal: Whether a line can be overwritten; else lines follow, more and more rarely.
             width: Of the terminal, characters.
             in_seconds: Whether the parts are milliseconds.
         """
@@ -41,7 +41,7 @@ class Progress:
         self._done, self._total = done, total
 
     def stage(self, title: str) -> None:
-        """Begin another stage, of which it is not known how much there is to do."""
+        """Begin another stage of unknown length."""
         self._title = title
         self._done = self._total = 0
 
@@ -55,7 +55,7 @@ class Progress:
         return f"{self._title}: {min(done / total, 1.0):.0%}, {seconds:.0f} s"
 
     def due(self, seconds: float) -> str:
-        """Return what is to be written after so many seconds; empty: nothing."""
+        """Return the text to write after so many seconds; empty: nothing."""
         if seconds < self._next_s:
             return ""
         if self._is_terminal:
@@ -67,7 +67,7 @@ class Progress:
 
 @contextmanager
 def progress_line(title: str, *, in_seconds: bool = False) -> Iterator[Progress]:
-    """Show what is under way while nothing else is printed; a terminal's line vanishes at the end.
+    """Show a task's progress while nothing else is printed; on a terminal the line vanishes.
 
     In a file or a pipe the lines stay: after 2 s, 4 s, 8 s and so on.
     """

@@ -30,9 +30,9 @@ PERIOD = 1.0
 NOT_OK, NO_DAEMON = 1, 4
 """Exit codes."""
 _HOST_AND_PORT = re.compile(r"([\w.-]+|\[[0-9a-fA-F:.]+\]):\d+")
-"""Begin of an address without ``http://``."""
+"""Start of an address without ``http://``."""
 _LINKS = ("serial:", "udpin:", "udpout:", "udpbcast:", "udp:", "tcp:", "tcpin:", "/dev/")
-"""How links begin."""
+"""Prefixes of links."""
 _FOREIGN = "{}: what answers is no ekf-companion; name its address with --url"
 
 
@@ -58,7 +58,7 @@ def status(
         bool, typer.Option("--brief", help="Only the verdicts, the vehicle and its aids: 80 x 24.")
     ] = False,
 ) -> None:
-    """Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer."""
+    """Show the daemon's state. Exit code: 0 ok, 1 no current estimate or invalid, 4 no answer."""
     if watch:
         answer = _watch(url, as_json, is_brief=brief)
     else:

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]
 _SLOW = 0.5
-"""A message at less than this share of the requested rate is marked."""
+"""Share of the requested rate below which a message is marked."""
 
 
 def view(data: Data, *, is_brief: bool = False) -> Group:
-    """Return the page of what ``/status`` answered, the most useful first; in brief, that alone."""
+    """Return the page for an answer of ``/status``, the most useful first; in brief, only that."""
     from rich.console import Group
     from rich.text import Text
 
@@ -155,7 +155,7 @@ def _guard(output: Data) -> str:
 
 
 def _settings(data: Data) -> str:
-    """Return what differs from the file that was read at the start."""
+    """Return the settings that differ from the file read at the start."""
     changes = [f"{key} {value} over MAVLink" for key, value in data["tuned"].items()]
     if (reload := data["reload"])["count"]:
         changes.append(f"reloaded {reload['count']} times, last: {reload['words']}")
@@ -178,7 +178,7 @@ def _process(process: Data) -> str:
 
 
 def _share(process: Data) -> str:
-    """Return the bound within which 99.9 % of the estimates were sent."""
+    """Return the latency within which 99.9 % of the estimates were sent."""
     for bound, count in process["latency"].items():
         if count >= 0.999 * process["latency_count"]:
             return f"99.9 % within {float(bound):g} ms"

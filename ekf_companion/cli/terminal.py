@@ -1,4 +1,4 @@
-"""What the commands share: options, error messages, JSON, reading a log."""
+"""Shared parts of the commands: options, error messages, JSON, reading a log."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FIGURES = (".png", ".pdf", ".svg")
 
 
 def figure_name(path: Path | None) -> Path | None:
-    """Return the file of a figure: one named without a kind is a .png."""
+    """Return the file name of a figure: one without a suffix gets .png."""
     if path is None or path.suffix.strip(".") or not path.name.strip("."):
         return path
     return path.with_name(f"{path.name.rstrip('.')}.png")
@@ -83,7 +83,7 @@ def read_truth(path: Path | None) -> Trajectory | None:
 
 @contextmanager
 def exit_on_error() -> Iterator[None]:
-    """Print an error that is raised on purpose as one sentence, and exit with its code."""
+    """Print a deliberately raised error as one sentence, and exit with its code."""
     try:
         yield
     except CompanionError as error:
@@ -101,7 +101,7 @@ def load(path: Path | None) -> Config:
 
 
 def show(as_json: bool, data: object, lines: Iterable[str], *, err: bool = False) -> None:
-    """Print a result, on the standard error if asked: the lines, or in their place JSON."""
+    """Print a result, on the standard error if asked: the lines, or JSON instead."""
     if as_json:
         typer.echo(json.dumps(data, indent=2, ensure_ascii=False), err=err)
     else:
@@ -135,7 +135,7 @@ def check_outputs(
 
 
 def _has_suffix(name: str) -> bool:
-    """Return whether a name ends as a file's: by a point and letters."""
+    """Return whether a name ends with a suffix: a point and letters."""
     return Path(name.strip()).suffix[1:].isalpha()
 
 
@@ -166,7 +166,7 @@ def open_log(
 def write_figure(log: Path, kind: str, plot: Path | None, write: Callable[[Path], None]) -> str:
     """Write a figure; return a line that names its file, or says why there is none.
 
-    Where no file is named, it goes beside the log, and overwrites nothing.
+    By default it goes beside the log, under a new name.
     """
     from ekf_companion.analysis.figure_file import has_matplotlib
 

@@ -1,4 +1,4 @@
-"""Lay out for a terminal where the vehicle is, what aids the estimate, and the verdict."""
+"""Layout for a terminal of the vehicle's state, the aids in use, and the verdict."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]
 _COLOURS = {"used": None, "refused": "red", "lost": "red", "none": "dim"}
-"""Of an aid, by its state."""
+"""Colours of the states of an aid."""
 _OLD_S = 1.0
-"""An older estimate is shown with its age."""
+"""Age, s, from which on an estimate is shown with its age."""
 
 
 def vehicle_parts(data: Data) -> list[RenderableType]:
-    """Return verdict, vehicle and aids; nothing of a daemon that is too old to say them."""
+    """Return verdict, vehicle and aids; nothing if the daemon is too old to send them."""
     from rich.text import Text
 
     if not data.get("vehicle"):
@@ -33,7 +33,7 @@ def vehicle_parts(data: Data) -> list[RenderableType]:
 
 
 def _plain_table(*columns: str) -> Table:
-    """Return a table without lines, which a small screen has no room for."""
+    """Return a table without lines, for a small screen."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")

@@ -60,7 +60,7 @@ def view(
 
 
 def _open(url: str) -> None:
-    """Open the browser, as far as there is one."""
+    """Open the browser, if there is one."""
     import webbrowser
 
     threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

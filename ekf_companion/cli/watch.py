@@ -1,4 +1,4 @@
-"""Show a page on a terminal again and again, as much of it as fits; keys scroll it."""
+"""Show a page on a terminal periodically, as much of it as fits; keys scroll it."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _KEYS = {
     b"\x1b[4~": _LAST,
     b"G": _LAST,
 }
-"""What terminals send, and the letters of ``less``."""
+"""Sequences of terminals, and the letters of ``less``."""
 
 
 _INTERRUPT, _OTHER_SIGNAL = b"\x03", b"\x00"
-"""What stands for Ctrl-C, and for a signal that only redraws, such as another size."""
+"""Pseudo-keys for Ctrl-C, and for a signal that only redraws, such as a resize."""
 _KEY = re.compile(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1bO.|\x1b(?!\[|O|$)|[^\x1b]", re.DOTALL)
 """A key as a terminal sends it: a sequence of ECMA-48, or a byte."""
 _BEGUN = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*|O)?")
-"""The begin of a sequence."""
+"""Beginning of a sequence."""
 _LONGEST = 32
 """Bytes of a sequence; no key sends more."""
 
 
 class Keys:
-    """Finds keys in what a terminal sends: several may come together, and one in two parts."""
+    """Finds keys in the input of a terminal: several may come together, and one in two parts."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -72,18 +72,18 @@ def _as_cursor(key: bytes) -> bytes:
 
 
 class Window:
-    """The lines of a page that the terminal has room for, and a last one that says which."""
+    """The lines of a page that fit the terminal, and a last line that says which."""
 
     def __init__(self) -> None:
         self._offset = self._count = self._rows = 0
         self._page: RenderableType = ""
 
     def show(self, page: RenderableType) -> None:
-        """Take another page; the place in it stays."""
+        """Take another page; the scroll position stays."""
         self._page = page
 
     def scroll(self, key: bytes) -> None:
-        """Move by a key; others do nothing."""
+        """Scroll by a key; others do nothing."""
         steps = {
             _UP: self._offset - 1,
             _DOWN: self._offset + 1,

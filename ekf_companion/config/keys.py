@@ -1,4 +1,4 @@
-"""Every key of the configuration by its dotted name, with what its field says of itself."""
+"""Every key of the configuration by its dotted name, with its field's metadata."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What of a changed configuration a reload takes in flight: rates, gates and noise.
+"""Which parts of a changed configuration a reload applies in flight: rates, gates and noise.
 
-The rest decides what the state means, whom we speak to or where files are; it is refused by name,
-and waits for a restart.
+All else changes the meaning of the state, the link or the files; it is listed as refused, and
+applies at the next start.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from ekf_companion.config.keys import KEYS, value_of, with_value
 
 @dataclass(frozen=True, slots=True)
 class Reload:
-    """What became of a changed configuration."""
+    """The result of a reload."""
 
     config: Config
-    """To go on with."""
+    """The configuration now in force."""
     taken: dict[str, tuple[Any, Any]]
-    """Old and new value by key."""
+    """Old and new value of each key that was applied."""
     refused: dict[str, tuple[Any, Any]]
-    """Old value, which stays, and the one that a restart would take."""
+    """Old value, which stays in force, and new value of each key that needs a restart."""
 
     def __str__(self) -> str:
         """Return a sentence for each part."""
@@ -34,7 +34,7 @@ class Reload:
 
 
 def reload(old: Config, new: Config) -> Reload:
-    """Take from a new configuration what a flight can take."""
+    """Apply those changes of a configuration that can be applied in flight."""
     config = old
     taken: dict[str, tuple[Any, Any]] = {}
     refused: dict[str, tuple[Any, Any]] = {}

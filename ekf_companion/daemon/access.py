@@ -1,8 +1,8 @@
-"""Who may ask over HTTP: a name that is ours, an origin that is ours, and elsewhere a token.
+"""Who may ask over HTTP: checks of the host name, of the origin and of a token.
 
-A page of another site must not read the state through the browser of somebody who can reach us: by
-a name of its own that it lets point here (DNS rebinding), or by a WebSocket, which browsers let any
-site open. Addresses are no such names. From another machine a token is asked for.
+A page of another site must not read the state through the browser of somebody who can reach this
+computer: by a name that it points here (DNS rebinding), or by a WebSocket, which browsers let any
+site open. Requests by address are not affected. From another machine a token is required.
 
 Sources: RFC 9110, 7.2 (Host); RFC 6455, 10.2 (Origin).
 """
@@ -48,7 +48,7 @@ class Refusal(NamedTuple):
     status: HTTPStatus
     words: str
     wait: float = 0.0
-    """Seconds to wait before that is said."""
+    """Seconds to wait before the refusal is sent."""
 
 
 class Access:
@@ -95,7 +95,7 @@ class Access:
         return hmac.compare_digest(word.encode(), self.token.encode())
 
     def _count_wrong_token(self, address: str) -> None:
-        """Count it, and log the first, tenth, hundredth and so on."""
+        """Count a wrong token; log the first, tenth, hundredth and so on."""
         with self._lock:
             self.wrong_tokens += 1
             count = self.wrong_tokens
@@ -117,7 +117,7 @@ class Access:
 
 
 def own_names(config: HttpConfig, own_name: str | None = None) -> frozenset[str]:
-    """Return the names of this computer; ``own_name`` is by default as the system says."""
+    """Return the names of this computer; ``own_name`` is by default the system's."""
     name = (socket.gethostname() if own_name is None else own_name).lower()
     ours = (*_NAMES, config.host, name, f"{name}.local", *config.names)
     return frozenset(one.lower().rstrip(".") for one in ours if one)
@@ -130,11 +130,11 @@ def refuse_site(
     *,
     is_socket: bool,
 ) -> Refusal | None:
-    """Return why a request could be of another site's page, or None if it is not.
+    """Return why a request could come from another site's page, or None if it does not.
 
     Args:
         headers: Of the request.
-        names: Of this computer, beside its addresses.
+        names: Names of this computer, beside its addresses.
         origins: Other sites whose pages may open a WebSocket.
         is_socket: Whether it opens a WebSocket, which a browser lets any site do.
     """
@@ -151,7 +151,7 @@ def refuse_site(
 
 
 def is_loopback(address: str) -> bool:
-    """Return whether an address is of this computer alone."""
+    """Return whether an address belongs to this computer alone."""
     found = ipaddress.ip_address(address.partition("%")[0])
     mapped = getattr(found, "ipv4_mapped", None)
     return bool((mapped or found).is_loopback)

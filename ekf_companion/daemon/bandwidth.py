@@ -1,4 +1,4 @@
-"""What a serial line carries, and whether the configured streams fit it."""
+"""Capacity of a serial line, and whether the configured streams fit it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE
 from ekf_companion.mavlink.messages import by_name
 
 _FEWEST = 10.0
-"""ODOMETRY that must fit at least, Hz: what PX4 gets more rarely it does not fuse. Above that as
-many are sent as the line carries (:mod:`~ekf_companion.mavlink.pacing`)."""
+"""Lowest rate of ODOMETRY that must fit, Hz: PX4 does not fuse a slower one. Above that as many are
+sent as the line carries (:mod:`~ekf_companion.mavlink.pacing`)."""
 SHARE = 0.6
 """Share of the line for the streams: parameters, commands, texts and bursts need the rest."""
 BITS = 10
-"""On the wire for each byte: 8N1."""
+"""Bits on the wire for each byte: 8N1."""
 _KEYS = {
     "HIGHRES_IMU": "link.imu_rate",
     "GPS_RAW_INT": "link.gnss_rate",
@@ -25,14 +25,14 @@ _KEYS = {
 }
 """The key that sets the rate of each stream."""
 _OURS = {"ESTIMATOR_STATUS": 1.0, "GPS_GLOBAL_ORIGIN": 1.0, "HEARTBEAT": 1.0, "TIMESYNC": 1.0}
-"""Hz, beside ODOMETRY."""
+"""Rates of our other messages, Hz."""
 _THEIRS = {"HEARTBEAT": 1.0, "TIMESYNC": 1.0}
 
 
 def overloads(config: Config) -> list[str]:
     """Return a warning for each direction in which a serial link is too slow, with what to lower.
 
-    There is none for other links, and messages that the autopilot sends unasked do not count.
+    Other links give none; messages that the autopilot sends unasked are not counted.
     """
     try:
         address = parse_url(config.link.url)
@@ -61,9 +61,9 @@ def overloads(config: Config) -> list[str]:
 
 
 def capacity(address: Address) -> float | None:
-    """Return the bytes/s that a link carries each way; None: only its answers show it.
+    """Return the bytes/s that a link carries each way; None: not known in advance.
 
-    Over USB the rate of a port means nothing.
+    The rate of a USB port means nothing.
     """
     if address.kind is not Kind.SERIAL or "ttyACM" in address.device:
         return None

@@ -1,4 +1,4 @@
-"""State on the disk that outlives the daemon: files that are always whole, written by threads."""
+"""State that outlives the daemon: files that are always complete, written by threads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ekf_companion.engine.checkpoint import is_ours
 _log = logging.getLogger(__name__)
 
 LARGEST = 1 << 20
-"""Bytes; no state comes near."""
+"""Largest file that is read, bytes; no state comes near."""
 READING = 2.0
 """Seconds that a slow disk may take to return the state of the last run."""
 PARAMETER_PERIOD = 1.0
@@ -26,11 +26,11 @@ _NO_FILE = "checkpoint.file: %s: is not a regular file; %s; name another"
 
 
 class StateFile:
-    """Writes the newest state to a file; the caller never waits for the disk, but to read.
+    """Writes the newest state to a file; the caller never waits for the disk, except to read.
 
-    The new state is written beside and renamed, so that a reader finds the old or the new one
-    whole. Few files need a sync: the system's cache outlives the daemon, and after a loss of power
-    the autopilot has rebooted too.
+    The new state is written to another file and renamed, so that a reader finds either the old or
+    the new one, complete. Few files need a sync: the system's cache outlives the daemon, and after
+    a loss of power the autopilot has rebooted too.
     """
 
     def __init__(
@@ -38,8 +38,8 @@ class StateFile:
     ) -> None:
         """Start the thread, which reads the state of the last run.
 
-        ``loss`` is what it means that nothing can be written, for the log. Between two files there
-        are at least ``period`` s; synced, each is left whole by a loss of power.
+        ``loss`` says in the log what a failure to write means. Two files are at least ``period`` s
+        apart; synced, each is complete even after a loss of power.
         """
         self.path = path
         self.is_late = False
@@ -62,11 +62,11 @@ class StateFile:
         return None if self.is_late else self._found
 
     def set_aside(self, kind: str) -> None:
-        """Have the file, which is no such kind of file of ours, renamed before the first write."""
+        """Have a file that is not ours renamed before the first write."""
         self._foreign = kind
 
     def write(self, data: bytes) -> None:
-        """Have the state written; an older one that still waits is not."""
+        """Have the state written; it replaces an older one that still waits."""
         self._data = data
         self._worker.wake()
 
@@ -82,7 +82,7 @@ class StateFile:
     # On the thread
 
     def _begin(self) -> None:
-        """Read what there is, and warn if nothing can be written."""
+        """Read the file, and warn if nothing can be written."""
         try:
             if self.path.exists() and not self.path.is_file():
                 self._is_usable = False
@@ -172,7 +172,7 @@ def open_checkpoint_file(file: str, interval: float) -> CheckpointFile | None:
 
 
 def open_parameter_file(file: str) -> StateFile | None:
-    """Start to read and write what is set over MAVLink, beside the checkpoint."""
+    """Start to read and write the parameters set over MAVLink, beside the checkpoint."""
     loss = "what is set over MAVLink is forgotten at a restart"
     return StateFile(Path(f"{file}.parameters"), loss, period=PARAMETER_PERIOD) if file else None
 

@@ -14,7 +14,7 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 def unix_clock() -> int:
-    """Return unix time, ns, that never steps: the monotonic clock, set once."""
+    """Return unix time, ns, without steps: the monotonic clock, set once."""
     return time.monotonic_ns() + _BOOT_NS
 
 
@@ -27,7 +27,7 @@ def read_clocks() -> Clocks:
 
 @cache
 def _boot_id() -> bytes:
-    """Return the 16 bytes that Linux draws at boot; empty: there are none, unix time has to do."""
+    """Return the 16 bytes that Linux draws at boot; empty: there are none, unix time must do."""
     try:
         return uuid.UUID(_BOOT_ID.read_text(encoding="ascii").strip()).bytes
     except (OSError, ValueError):

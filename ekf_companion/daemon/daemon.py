@@ -1,4 +1,4 @@
-"""The daemon: one link, one session, one pipeline, one loop; beside it threads that write."""
+"""The daemon: one link, one session, one pipeline, one loop; threads for its files."""
 
 from __future__ import annotations
 
@@ -47,22 +47,23 @@ TICK = 0.1
 """Seconds between two periodic runs while nothing comes."""
 TICK_NS = round(TICK * 1e9)
 PAUSE_NS = 1_000_000_000
-"""Without a run of the loop for so long, it was stopped, or the board is overloaded: PX4 has ended
-its use of ODOMETRY then, and texts about silence would blame others."""
+"""Without a run of the loop for so long, the process was stopped or the board is overloaded: PX4
+has stopped using ODOMETRY by then, and texts about silence would blame others."""
 LEAST_NS = 50_000_000
-"""Between two periodic runs while much comes: each costs as much as several samples."""
+"""Shortest time between two periodic runs: each costs as much as several samples."""
 WAIT_NS = 30_000_000
-"""Longest time for which what was read may wait: about that between two ODOMETRYs at 30 Hz."""
+"""Longest time for which read bytes may be batched: about that between two ODOMETRYs at 30 Hz."""
 DRAIN = 0.1
 """Seconds for the last message to leave a serial port, whose closing discards what waits."""
 READING = 3.0
 """Longest time for a reload to read the configuration, s: less than ``ekf-companion reload`` waits.
 """
 CLASH_PATIENCE_NS = (5_000_000_000, 15_000_000_000)
-"""Wait for an ODOMETRY of another under our ids: drawn, as of two daemons only one is to begin."""
+"""Wait for another sender with our ids before we send; drawn at random, so that of two daemons only
+one begins."""
 CLOSING = 1.2
-"""Seconds that all our threads have to end, however many disks hang: with the drain, and the
-interpreter's own end, no more than 2 s pass from SIGTERM."""
+"""Seconds that all threads have to end, even if disks hang: with the drain and the interpreter's
+own end, at most 2 s pass from SIGTERM."""
 
 
 def run(read: Callable[[], Config]) -> None:
@@ -189,8 +190,8 @@ class Daemon:
     def receive(self, received: Received) -> None:
         """Process what was read, and send what follows from it.
 
-        What needs no answer, and after which nothing is due, waits for what comes next: a processor
-        that was idle has to fetch anew all that it needs, and does so once for them all.
+        Bytes that need no answer, and after which no output is due, are batched until the next
+        output: an idle processor reloads its caches then once for all of them.
         """
         now_ns, waiting = received.now_ns, self._waiting
         self._notice_pause(now_ns)
@@ -211,7 +212,7 @@ class Daemon:
             deliver(received, companion.receive, companion.session, self.link)
 
     async def tick(self) -> None:
-        """Run what is periodic while nothing comes."""
+        """Run the periodic work while nothing comes."""
         while True:
             if (now_ns := unix_clock()) >= self._due_ns:
                 self._run_periodic(now_ns)
@@ -248,7 +249,7 @@ class Daemon:
         threading.Thread(target=read_again, name="reload", daemon=True).start()
 
     def _on_read(self, answer: Config | CompanionError) -> None:
-        """Take what was read, unless it was given up."""
+        """Use the configuration that was read, unless the reading was abandoned."""
         self._is_reading = False
         if self._reading_limit is not None:
             self._reading_limit.cancel()
@@ -256,7 +257,7 @@ class Daemon:
             self._apply(answer)
 
     def _on_unread(self) -> None:
-        """Abandon the reading; another may begin when the thread has ended."""
+        """Abandon the reading; another may begin when its thread has ended."""
         self._reading_limit = None
         self._apply(ConfigError(f"the configuration could not be read within {READING:g} s"))
 
@@ -326,7 +327,7 @@ class Daemon:
         self._observer.tick(now_ns)
 
     def _is_fresh(self, t_ns: int, now_ns: int) -> bool:
-        """Return whether an estimate of this stamp may still be sent."""
+        """Return whether an estimate of this stamp is new enough to be sent."""
         limit = self._companion.tuning.config.output.odometry.age_limit
         return self._freshness.is_fresh(t_ns, now_ns, limit)
 

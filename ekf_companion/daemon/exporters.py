@@ -1,10 +1,9 @@
 """The live estimate for programs that draw it: Foxglove, and PlotJuggler by UDP.
 
-Each runs on a thread of its own, and takes the newest estimate of one feed: what it is too slow for
-it misses.
+Each runs on a thread of its own and sends the newest estimate: one that is too slow misses some.
 
-Sources: Foxglove SDK for Python; PlotJuggler, plotjuggler_plugins/DataStreamUDP and ParserJSON
-(the field ``timestamp``, s).
+Sources: Foxglove SDK for Python; PlotJuggler, plotjuggler_plugins/DataStreamUDP and ParserJSON (the
+field ``timestamp``, s).
 """
 
 from __future__ import annotations
@@ -36,25 +35,25 @@ _log = logging.getLogger(__name__)
 NAME = "ekf_companion"
 _WAIT = 0.5
 _MOST_REFUSED = 8
-"""Pages whose refusal is logged."""
+"""Number of pages whose refusal is logged."""
 _PREFIX, _SUFFIX = b'{"live":', b"}"
 
 
 class Sink(Protocol):
-    """Where the estimates go."""
+    """Receiver of the estimates."""
 
     def send(self, live: bytes) -> None:
-        """Send an estimate, which is JSON."""
+        """Send an estimate in JSON."""
 
     def close(self) -> None:
         """End."""
 
 
 class Exporter:
-    """Sends the newest estimate, again and again."""
+    """Sends the newest estimate periodically."""
 
     def __init__(self, name: str, open_sink: Callable[[], Sink | None], feed: Feed) -> None:
-        """Start the thread; ``open_sink`` is called on it, and returns None if it cannot be."""
+        """Start the thread; it calls ``open_sink``, which returns None if it fails."""
         self._open_sink, self._feed = open_sink, feed
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -91,7 +90,7 @@ class UdpSink:
         self._socket.setblocking(False)
 
     def send(self, live: bytes) -> None:
-        """Send one datagram; one that finds nobody is lost."""
+        """Send one datagram; without a listener it is lost."""
         data = b'{"timestamp":%.6f,"%s":%s}' % (time.time(), NAME.encode(), live)
         try:
             self._socket.sendto(data, self._address)
@@ -192,7 +191,7 @@ def open_exporters(
     loop: asyncio.AbstractEventLoop,
     names: frozenset[str] = frozenset(),
 ) -> list[Exporter]:
-    """Start what the configuration asks for; ``names`` are this computer's, beside localhost."""
+    """Start the configured exporters; ``names`` are this computer's, beside localhost."""
     source = SnapshotSource(observer, loop)
     feed = Feed(lambda _: {"live": source.read_live()})
     exporters = []

@@ -1,7 +1,7 @@
-"""What the viewers of the page are sent: made once for all of them, and only while there are any.
+"""Messages for the viewers of the page: made once for all of them, and only while there are any.
 
 A thread asks the loop for the newest estimate ten times a second and for the whole state once a
-second. Each viewer takes the newest of each kind when its connection lets it: a slow one misses
+second. Each viewer takes the newest of each kind when its connection is free: a slow one misses
 some, and nobody waits for it.
 """
 
@@ -18,23 +18,23 @@ _log = logging.getLogger(__name__)
 PERIOD = 0.1
 """Seconds between two estimates."""
 SLOW_EVERY = 10
-"""Of these to one of the whole state."""
+"""Estimates for each message with the whole state."""
 VIEWERS = 4
-"""At once."""
+"""Largest number at once."""
 
 Messages = Mapping[str, bytes | None]
-"""JSON by the kind of message; None: there is nothing new of that kind."""
+"""JSON by the kind of message; None: nothing new of that kind."""
 
 
 class Feed:
-    """Makes messages while they are watched."""
+    """Makes messages while somebody watches."""
 
     def __init__(self, make: Callable[[bool], Messages]) -> None:
         """Begin with no viewer, and no thread.
 
         Args:
-            make: Returns the messages of now; the argument is whether the whole state is due. It is
-                called on the feed's thread.
+            make: Returns the current messages; the argument is whether the whole state is due.
+                It is called on the feed's thread.
         """
         self._make = make
         self._changed = threading.Condition()
@@ -47,7 +47,7 @@ class Feed:
 
     @contextmanager
     def watch(self) -> Iterator[Viewer | None]:
-        """Take part while the context lasts; None: there are too many viewers, or it is over."""
+        """Register a viewer while the context lasts; None: too many, or the feed has ended."""
         with self._changed:
             if self._is_over or self._viewers >= VIEWERS:
                 viewer = None
@@ -72,20 +72,20 @@ class Feed:
 
     @property
     def viewers(self) -> int:
-        """How many watch."""
+        """Number of viewers."""
         return self._viewers
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether no more messages will come."""
         return self._is_over
 
     def has(self, kind: str) -> bool:
-        """Return whether a viewer that comes now gets a message of this kind at once."""
+        """Return whether a new viewer gets a message of this kind at once."""
         return kind in self._newest
 
     def newer(self, seen: dict[str, int], timeout: float) -> list[bytes]:
-        """Return messages whose numbers are not in ``seen``, and note these; wait for the first."""
+        """Return messages whose numbers are not in ``seen``, and add these; wait for the first."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_over or bool(self._unseen(seen)), timeout)
             found = self._unseen(seen)
@@ -103,7 +103,7 @@ class Feed:
             try:
                 messages = self._make(count % SLOW_EVERY == 0)
             except Exception:  # noqa: BLE001  # a bug here must not end a flight
-                _log.exception("The page cannot be told the state")
+                _log.exception("The state cannot be sent to the page")
                 messages = {}
             with self._changed:
                 if self._is_over or not self._viewers:
@@ -120,7 +120,7 @@ class Feed:
 
 
 class Viewer:
-    """One who watches, and what was taken already."""
+    """One viewer, and the messages that it has taken."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
@@ -128,12 +128,12 @@ class Viewer:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether no more messages will come."""
         return self._feed.is_over
 
     def take(self, timeout: float) -> list[bytes]:
         """Return the newest message of each kind that is new; wait for the first, at most so long.
 
-        The list is empty if nothing came in this time, s, or nothing more will come.
+        The list is empty if nothing came in this time, s, or the feed has ended.
         """
         return self._feed.newer(self._seen, timeout)

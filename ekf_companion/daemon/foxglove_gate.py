@@ -1,8 +1,8 @@
-"""A gate before a WebSocket server that answers everybody: it checks who asks, and passes bytes on.
+"""A proxy before a WebSocket server that answers everybody: it checks the origin of requests.
 
 A browser lets any page open a WebSocket to this computer, and the server of the Foxglove SDK does
-not look where a request is from. So the port that others know is the gate's, and the server listens
-at an address that no page can guess.
+not check where a request comes from. So the public port is the proxy's, and the server listens at
+an address that no page can guess.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ekf_companion.daemon.places import DEADLINE, Places
 _log = logging.getLogger(__name__)
 
 MOST = 8
-"""Clients at once."""
+"""Largest number of clients at once."""
 LARGEST_HEAD = 1 << 14
 """Bytes of a request with its headers."""
 SLOW = 5.0
@@ -45,13 +45,13 @@ class Address(NamedTuple):
 
 
 def hidden_host() -> str:
-    """Return an address of this computer that nobody else can guess, of 127.0.0.0/8."""
+    """Return a random address of this computer, of 127.0.0.0/8, that nobody else can guess."""
     a, b, c = (1 + secrets.randbelow(254) for _ in range(3))
     return f"127.{a}.{b}.{c}"
 
 
 class Gate:
-    """Listens for a server, on a thread, and lets in whom ``refuse`` does not name."""
+    """Listens for a server, on a thread, and admits requests that ``refuse`` does not refuse."""
 
     def __init__(
         self, port: int, server: Address, refuse: Callable[[Message], Refusal | None]
@@ -59,8 +59,8 @@ class Gate:
         """Listen on a port of this computer.
 
         Args:
-            port: Where clients come.
-            server: Where their bytes go.
+            port: Where clients connect.
+            server: Where their bytes are passed on to.
             refuse: Returns why a request with these headers is refused, or None.
 
         Raises:
@@ -74,7 +74,7 @@ class Gate:
         threading.Thread(target=self._run, name="gate", daemon=True).start()
 
     def close(self) -> None:
-        """Let nobody in any more, and end those who are."""
+        """Admit nobody any more, and disconnect all clients."""
         self._stop.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)

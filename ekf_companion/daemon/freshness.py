@@ -1,16 +1,16 @@
-"""How old an estimate is when it is about to be sent.
+"""Age of an estimate when it is about to be sent.
 
 After a stall, the samples that waited in the system's buffers are read all at once, and an estimate
-follows from each. The filter needs every sample; whoever flies on the estimates is harmed by old
-ones. An estimate is as old as it comes later, by its stamp, than the quickest of the last seconds.
-That needs no common clock.
+follows from each. The filter needs every sample, but old estimates harm an autopilot that flies on
+them. The age of an estimate is its delay, by its stamp, beyond the smallest delay of the last
+seconds. That needs no common clock.
 """
 
 from __future__ import annotations
 
 _SPAN_NS = 2_000_000_000
-"""The quickest of so long counts, and of as long before. Crystals drift by less than a millisecond
-in that time, and a simulator that cannot keep up, 2 % slow on a busy machine, by 80 ms."""
+"""Span of the smallest delay: that of this span and of the one before counts. Crystals drift by
+less than a millisecond in that time; a simulator that runs 2 % slow on a busy machine by 80 ms."""
 _UNKNOWN_NS = 1 << 62
 
 

@@ -1,8 +1,8 @@
-"""The state over HTTP, served beside the loop: it answers also while the loop stalls, and says so.
+"""The state over HTTP, served on threads: it answers also while the loop stalls, and reports that.
 
-One thread accepts connections, and each is answered on a thread of its own. The snapshot that an
-answer is made of is taken in the loop, whole and at one moment, at most five times a second. A
-viewer of the page keeps its connection and its thread.
+One thread accepts connections, and each is answered on a thread of its own. The snapshot for an
+answer is taken in the loop, at one moment, at most five times a second. A viewer of the page keeps
+its connection and its thread.
 """
 
 from __future__ import annotations
@@ -37,15 +37,16 @@ HEAD_START = 1.0
 RETRY = 30.0
 """Seconds between two attempts where the port is taken."""
 PATIENCE = 1.0
-"""Seconds that the loop has to answer."""
+"""Seconds to wait for the loop."""
 FRESH = 0.2
 """Seconds for which one snapshot serves all requests."""
 HOST_EVERY = 2.0
 """Seconds between two readings of the board."""
 PACE = 0.02
-"""Seconds between two answers: many clients take no more than a tenth of a processor."""
+"""Seconds between two answers, so that many clients take at most a tenth of a processor."""
 REFUSAL_PACE = 0.002
-"""Seconds after one that finds no place: closing it costs little, and others wait behind it."""
+"""Seconds after refusing a client for which there is no place: that costs little, and others
+wait."""
 BACKLOG = 128
 """Connections that the kernel keeps until they are accepted."""
 _POLL = 0.5
@@ -103,7 +104,7 @@ class SnapshotSource:
         return self._live
 
     def _call(self, take: Callable[[], T]) -> Future[T] | None:
-        """Have something called in the loop; return None if the loop has ended."""
+        """Have a function called in the loop; return None if the loop has ended."""
         request: Future[T] = Future()
 
         def answer() -> None:
@@ -138,9 +139,9 @@ class HttpServer:
         """Begin to serve: at once on a given socket, else a moment later.
 
         Args:
-            config: Where, and to whom.
+            config: Address, port and access.
             open_site: Called once, on the server's thread; returns what is served.
-            listener: Of :func:`listen`; None: one is opened, again and again until it can be.
+            listener: Of :func:`listen`; None: one is opened, with retries until it succeeds.
         """
         self._config, self._open_site = config, open_site
         self._given = listener
@@ -192,7 +193,7 @@ class HttpServer:
                 self._stop.wait(self._accept(listener))
 
     def _announce(self, host: str, port: int) -> None:
-        """Log the address to open; with the token where that is needed and nobody knows it."""
+        """Log the address to open; with the token if it was drawn by the daemon."""
         where = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
         _log.info("Status on %s", where)
         if is_loopback(host):
@@ -263,7 +264,7 @@ def open_http_server(
     loop: asyncio.AbstractEventLoop,
     events: RecentEvents | None = None,
 ) -> HttpServer | None:
-    """Serve what an observer sees, and the last lines of the log; None if no port is wanted."""
+    """Serve an observer's state and the last lines of the log; None if no port is configured."""
     if not config.port:
         return None
     source = SnapshotSource(observer, loop)

@@ -1,4 +1,4 @@
-"""The secret from its file, and the times of its signatures, which must outlive a restart.
+"""The secret of signing from its file, and the times of its signatures across a restart.
 
 The secret appears in no log, no status and no error: only the name of its file does.
 """
@@ -20,10 +20,10 @@ from ekf_companion.mavlink.signing import KEY_SIZE, Signing
 _log = logging.getLogger(__name__)
 
 INTERVAL_NS = 1_000_000_000
-"""Between two writes of the times; the margin of the next start covers what a crash loses."""
+"""Time between two writes of the signatures' times; the next start adds a margin for a crash."""
 COPY_PERIOD = 60.0
 """Seconds between two synced copies: a loss of power loses as much, and the first frame of a stream
-may be as old in any case."""
+may be that old in any case."""
 SUFFIX = ".signing"
 """Appended to the checkpoint's name."""
 BORROWED_LINK = 1
@@ -34,10 +34,10 @@ _HEX = re.compile(rb"[0-9A-Fa-f]{%d}\n?" % (2 * KEY_SIZE))
 
 
 class SigningState:
-    """A secret in use, and the files that keep the times of its signatures over a restart."""
+    """A secret in use, and the files that keep the times of its signatures across a restart."""
 
     def __init__(self, signing: Signing, name: str) -> None:
-        """Continue from the later times of the file, and of the copy for a loss of power.
+        """Continue from the later time of the file and of the copy for a loss of power.
 
         Without a name there is no file, and each start begins from the clock.
         """
@@ -102,9 +102,9 @@ def open_signing(config: Config) -> SigningState | None:
 def borrow_signing(config: Config) -> Signing | None:
     """Read the secret and the times that the daemon keeps, and write nothing.
 
-    What is signed with it is a stream of its own, of another link id than the daemon's: neither
-    makes the other's frames old. What the autopilot says meanwhile is forgotten, as is what it
-    says while no daemon runs: its next frame is newer than all of that.
+    Frames signed with it are a stream with another link id than the daemon's: neither makes the
+    other's frames old. What the autopilot sends in the meantime is not recorded, as is what it
+    sends while no daemon runs: its next frame is newer than all of that.
 
     Raises:
         ConfigError: The file holds no secret, or others may read it.

@@ -1,11 +1,12 @@
-"""The log: to systemd's journal, with fields, if stderr leads there, else as text; never a flood.
+"""The log: to systemd's journal, with fields, if stderr leads there, else as text; rate limited.
 
 A record may have fields of its own, which become fields of the journal::
 
     _log.warning("Reset: %s", reason, extra={"EKF_EVENT": "reset", "EKF_REASON": reason})
 
 Fields: https://www.freedesktop.org/software/systemd/man/latest/systemd.journal-fields.html;
-protocol: https://systemd.io/JOURNAL_NATIVE_PROTOCOL/, spoken by the library logging-journald.
+protocol: https://systemd.io/JOURNAL_NATIVE_PROTOCOL/, implemented by the library
+logging-journald.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ from pathlib import Path
 FORMAT = "%(levelname)s %(name)s: %(message)s"
 IDENTIFIER = "ekf-companion"
 SPAN = 10.0
-"""Seconds in which a warning is logged once."""
+"""Seconds in which the same warning is logged once."""
 BURST = 5
-"""How often a line below a warning is logged in that time."""
+"""Number of times that the same line below a warning is logged in that time."""
 KINDS = 256
-"""Different lines that are remembered."""
+"""Number of different lines that are tracked."""
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _OWN = "EKF_"
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
 def set_up(level: int) -> None:
-    """Log from now on, at this level and above."""
+    """Set up logging at this level and above."""
     if is_journal():
         inner: logging.Handler = JournalHandler()
     else:
@@ -44,9 +45,9 @@ def set_up(level: int) -> None:
 
 
 def flush(*, is_end: bool = False) -> None:
-    """Log how many lines were left out, where their time is over; to be called now and then.
+    """Log how many lines were left out, where their time is over; call it periodically.
 
-    At the end it is over for all.
+    At the end all are due.
     """
     for handler in logging.root.handlers:
         if isinstance(handler, RateLimitHandler):
@@ -67,10 +68,10 @@ def is_journal() -> bool:
 
 
 class JournalHandler(logging.Handler):
-    """Sends records as entries with fields; a journal that is slow or away delays nobody."""
+    """Sends records as entries with fields; a slow or missing journal delays nobody."""
 
     def __init__(self, path: Path | None = None) -> None:
-        """Open a socket to the journal's, by default the usual one."""
+        """Open a socket to the journal, by default the usual one."""
         super().__init__()
         from logging_journald import JournaldTransport
 
@@ -199,7 +200,7 @@ class RateLimitHandler(logging.Handler):
         return pattern if is_flood else key
 
     def _forget(self, before_s: float) -> None:
-        """Forget the lines from before a time, and any too many; log how many were left out."""
+        """Drop lines from before a time, and any too many; log how many were left out."""
         for key, line in list(self._lines.items()):
             if line.begin_s <= before_s or len(self._lines) >= KINDS:
                 del self._lines[key]
@@ -208,7 +209,7 @@ class RateLimitHandler(logging.Handler):
 
 
 def _counted(record: logging.LogRecord, left_out: int) -> logging.LogRecord:
-    """Return a record that ends with how many like it were left out."""
+    """Return a record whose text ends with the number of similar ones that were left out."""
     if not left_out:
         return record
     record = copy.copy(record)

@@ -1,7 +1,7 @@
-"""Listeners that are no autopilot: each is sent the estimate, whatever the guard withholds.
+"""Listeners that are not autopilots: each is sent the estimate, even if the guard withholds it.
 
-The frames have sequence numbers of their own and are not recorded; what the listeners send is not
-read. Nothing here changes what is estimated or what the autopilot is sent.
+Their frames have sequence numbers of their own and are not recorded; what the listeners send is not
+read. Nothing here changes the estimate or what the autopilot is sent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Monitors:
     """The monitors of one configuration."""
 
     def __init__(self, config: Config, autopilot: Link, signing: Signing | None) -> None:
-        """Make ready the ``links`` to all that ``output.monitors`` names, to be run.
+        """Make ready the ``links`` to the addresses of ``output.monitors``.
 
         No monitor may be at the address of the autopilot's link.
 
@@ -50,7 +50,7 @@ class Monitors:
 
     @property
     def due_ns(self) -> int:
-        """The stamp from which something may be due of an estimate."""
+        """Stamp from which something may be due of an estimate."""
         if not self.links:
             return NEVER_NS
         due_ns = self._position.pause[1]
@@ -76,7 +76,7 @@ class Monitors:
             self._send(Message("GLOBAL_POSITION_INT", payload), now_ns)
 
     def say_goodbye(self) -> None:
-        """Send the last heartbeat with what is sent next."""
+        """Send the last heartbeat with the next message."""
         self._heartbeat.request()
 
     def _publisher_for(self, companion: Companion) -> Publisher:
@@ -101,13 +101,13 @@ class Monitors:
                 link.send(frame)
 
     def _is_autopilot(self, link: Link) -> bool:
-        """Whether the autopilot speaks from that address: it would get what the guard withholds."""
+        """Whether the autopilot sends from that address, and would get what the guard withholds."""
         pinned, address = self._autopilot.peers.pinned, link.address
         if pinned is None or pinned[:2] != (address.host, address.port):
             return False
         if not self._has_complained:
             _log.warning(
-                "output.monitors: the autopilot speaks from %s, so nothing is sent there; "
+                "output.monitors: the autopilot sends from %s, so nothing is sent there; "
                 "leave it out",
                 address,
             )
@@ -116,7 +116,7 @@ class Monitors:
 
 
 def _position_of(estimate: Estimate) -> bytes:
-    """Return the payload of GLOBAL_POSITION_INT; empty: there is no position that may be used."""
+    """Return the payload of GLOBAL_POSITION_INT; empty: no position is fit for use."""
     now = as_estimate(estimate.values)
     if not Status.OK <= int(now.status) < Status.INVALID:
         return b""

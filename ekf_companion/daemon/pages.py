@@ -1,7 +1,7 @@
-"""The page, ``/healthz``, ``/status``, ``/metrics``, read by the standard library's HTTP parser.
+"""The page, ``/healthz``, ``/status``, ``/metrics``, on the standard library's HTTP parser.
 
-The thread that serves imports this file, which takes a while. ``/live`` is a WebSocket: it keeps
-its connection.
+Imported on the serving thread, since that takes a while. ``/live`` is a WebSocket: it keeps its
+connection.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from ekf_companion.status.snapshot import Snapshot
 _log = logging.getLogger(__name__)
 
 PAUSE = 3e-4
-"""Seconds of sleep after each small piece of an answer, about 50 us of work: the loop goes first.
-A shorter ``sys.setswitchinterval`` would do the loop harm: it cuts up the loop's work as well."""
+"""Seconds of sleep after each small piece of an answer, about 50 us of work: the loop comes first.
+A shorter ``sys.setswitchinterval`` would harm the loop: it interrupts the loop's work as well."""
 _TEXT = "text/plain; charset=utf-8"
 _INDEX = (
     "/healthz  is it well: 200, or 503 and why\n/status   everything, JSON\n/metrics  Prometheus\n"
 )
 _CSP = "default-src 'self'; img-src 'self' data:{}; frame-ancestors 'none'"
-"""Pictures may come from the server of a map's tiles, too."""
+"""Pictures may also come from the server of a map's tiles."""
 _FULL = "too many watch already: close the page elsewhere\n"
 _LOCK = threading.Lock()
-"""Of many clients one at a time competes with the loop."""
+"""Only one client at a time competes with the loop."""
 Answer = tuple[HTTPStatus, str, bytes]
 """Status, content type and body."""
 
@@ -53,7 +53,7 @@ class Site(Protocol):
     feed: Feed | None
     """Of ``/live``; None: there is none."""
     source: str
-    """Where the page's data comes from: ``live`` or ``log``."""
+    """Source of the page's data: ``live`` or ``log``."""
 
     def page(self, path: str, accept: str) -> Answer | None:
         """Return a page; None: there is none at that path."""
@@ -123,7 +123,7 @@ class Handler(BaseHTTPRequestHandler):
             super().send_error(code, message, explain)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: a request is not news."""
+        """Log nothing: a request is not worth a line."""
 
     def _page(self) -> Answer:
         path, _, query = self.path.partition("?")
@@ -141,7 +141,7 @@ class Handler(BaseHTTPRequestHandler):
         return HTTPStatus.NOT_FOUND, _TEXT, f"no such page; there are:\n{_INDEX}".encode()
 
     def _refusal(self, query: str, *, is_socket: bool = False) -> Refusal | None:
-        """Return why the request is refused, or None; a wrong token is told so after a while."""
+        """Return why the request is refused, or None; a wrong token is refused after a delay."""
         refusal = self._access.refuse(
             self.headers, query, self.client_address[0], is_socket=is_socket
         )
@@ -150,7 +150,7 @@ class Handler(BaseHTTPRequestHandler):
         return refusal
 
     def _front(self, query: str) -> Answer:
-        """Return the page; a token in its address moves into a cookie, out of sight."""
+        """Return the page; a token in its address is moved into a cookie."""
         for word in parse_qs(query).get("token", []):
             if self._access.is_token(word):
                 cookie = f"{self._access.cookie}={word}; Path=/; HttpOnly; SameSite=Strict"
@@ -160,7 +160,7 @@ class Handler(BaseHTTPRequestHandler):
         return HTTPStatus.OK, "text/html; charset=utf-8", page
 
     def _watch(self, feed: Feed) -> None:
-        """Serve ``/live``, if the request may."""
+        """Serve ``/live``, if the request is admitted."""
         self.close_connection = True  # what follows on it is no request
         if (refusal := self._refusal(self.path.partition("?")[2], is_socket=True)) is not None:
             self._send(refusal.status, _TEXT, refusal.words.encode())
@@ -191,7 +191,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 class DaemonSite:
-    """Serves what the daemon knows of itself."""
+    """Serves the daemon's state."""
 
     source = "live"
 
@@ -203,7 +203,7 @@ class DaemonSite:
         self.feed: Feed | None = self._feed
 
     def page(self, path: str, accept: str) -> Answer | None:
-        """Return one of the pages for programs, from the newest snapshot."""
+        """Return a page for programs, from the newest snapshot."""
         if path == "/past":
             past = self._snapshots.read_past()
             return _stalled() if past is None else (HTTPStatus.OK, "application/json", past)
@@ -215,7 +215,7 @@ class DaemonSite:
             return page(snapshot, accept)
 
     def _messages(self, is_status_due: bool) -> dict[str, bytes | None]:
-        """Return what the viewers are sent now."""
+        """Return the current messages for the viewers."""
         if (live := self._snapshots.read_live()) is None:
             return {"stalled": b"%.1f" % PATIENCE}
         messages: dict[str, bytes | None] = {"live": live}
@@ -234,7 +234,7 @@ class DaemonSite:
 
 
 def _origin(address: str) -> str:
-    """Return who serves an address, behind a space, for a list of them; empty: of no address."""
+    """Return the origin of an address, after a space, for a list of them; empty: no address."""
     return f" {'/'.join(address.split('/')[:3])}" if address else ""
 
 

@@ -1,7 +1,7 @@
-"""Places for connections: so many for each address, and some that only this computer gets.
+"""Limits on connections: so many for each address, and some reserved for this computer.
 
-A stranger who opens connections and says nothing takes the places of its own address. Whoever asks
-on the board itself, as ``ekf-companion status`` does, is answered all the same.
+A stranger who opens connections and sends nothing uses up the places of its own address only.
+Requests from the board itself, as of ``ekf-companion status``, are answered all the same.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from ekf_companion.daemon.access import is_loopback
 C = TypeVar("C", bound=Hashable)
 
 PLACES = 24
-"""Connections at once, viewers of the page apart."""
+"""Connections at once, without viewers of the page."""
 KEPT = 8
-"""Of these for this computer alone."""
+"""Of these, reserved for this computer."""
 BY_ADDRESS = 8
-"""For one other address: a browser opens six at once."""
+"""Connections of one other address: a browser opens six at once."""
 LINE_WAIT = 1.0
 """Seconds for the request line: a client that has something to ask sends it at once."""
 DEADLINE = 5.0
 """Seconds that one request may take in all."""
 _NETWORK_BITS = 64
-"""Of an address of IPv6: who has one address there has the whole network."""
+"""Prefix of an IPv6 address that is counted as one: who has one address there has the network."""
 
 
 class Places(Generic[C]):
-    """Counts connections by address; asked from several threads."""
+    """Counts connections by address; called from several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -42,7 +42,7 @@ class Places(Generic[C]):
         return len(self._hosts)
 
     def take(self, client: C, address: str, now_s: float) -> bool:
-        """Give a new connection a place until its request line is due; return whether there is one.
+        """Admit a new connection until its request line is due; return whether there is a place.
 
         Args:
             client: The connection.
@@ -64,13 +64,13 @@ class Places(Generic[C]):
         return True
 
     def extend(self, client: C) -> None:
-        """Give a connection whose request line has come the time of a whole request."""
+        """Allow a connection whose request line has come the time of a whole request."""
         with self._lock:
             if client in self._ends_s:
                 self._ends_s[client] = self._begins_s[client] + DEADLINE
 
     def leave(self, client: C) -> None:
-        """Take a place back; twice does no harm."""
+        """Release a place; twice does no harm."""
         with self._lock:
             for kept in (self._hosts, self._begins_s, self._ends_s):
                 kept.pop(client, None)
@@ -82,7 +82,7 @@ class Places(Generic[C]):
 
 
 def host_of(address: str) -> str:
-    """Return whom an address is counted for: itself, or its network of IPv6."""
+    """Return the address that a client is counted by: its own, or its IPv6 network."""
     found = ipaddress.ip_address(address.partition("%")[0])
     found = getattr(found, "ipv4_mapped", None) or found
     if found.version == 4 or found.is_link_local:

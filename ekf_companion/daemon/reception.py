@@ -1,8 +1,8 @@
-"""The link of a configuration, and whom it accepts, the same for the daemon and the doctor.
+"""The link of a configuration and the senders that it accepts, for the daemon and the doctor.
 
 Datagrams are accepted from the address from which the session receives the autopilot, see
 :mod:`~.link.peers`. If the session refuses a frame, by its ids or its signature, its sender is not
-answered, and a TCP client that sends nothing else does not stay.
+answered, and a TCP client that sends nothing else is disconnected.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ def open_reception(
 def deliver(
     received: Received, receive: Callable[[bytes, int, Any], object], session: Session, link: Link
 ) -> None:
-    """Pass on what was read, and pin or answer its sender by what the link's session makes of it.
+    """Pass on what was read, and pin or answer its sender depending on what the session accepts.
 
-    ``receive`` is called with the bytes, when they were read, and their sender, to pass them to the
+    ``receive`` is called with the bytes, the time of the read and the sender, to pass them to the
     session.
     """
     data, now_ns, sender = received

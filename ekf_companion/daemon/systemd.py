@@ -1,4 +1,4 @@
-"""What the service manager is sent: ready, watchdog, reloading, stopping, and a status line."""
+"""Messages to the service manager: ready, watchdog, reloading, stopping, and a status line."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ from collections.abc import Callable
 _log = logging.getLogger(__name__)
 
 REPORT_NS = 1_000_000_000
-"""Between two status lines."""
+"""Time between two status lines."""
 
 
 class Systemd:
-    """The service manager, where there is one.
-
-    Source: sd_notify(3).
-    """
+    """The service manager, if there is one."""
 
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")
@@ -29,7 +26,7 @@ class Systemd:
         self._has_complained = False
 
     def notify(self, state: str) -> None:
-        """Send it a state, if there is one; warn once if it does not listen."""
+        """Send a state to the service manager, if there is one; warn once if it does not listen."""
         if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
@@ -41,7 +38,7 @@ class Systemd:
                 self._has_complained = True
 
     def beat(self, now_ns: int) -> None:
-        """Feed the watchdog, twice in its period."""
+        """Reset the watchdog, twice in its period."""
         if self._period_ns and now_ns >= self._next_ns:
             self._next_ns = now_ns + self._period_ns
             self.notify("WATCHDOG=1")
@@ -60,5 +57,5 @@ class Systemd:
             self.notify(f"STATUS={line}")
 
     def notify_reloading(self) -> None:
-        """Send that a reload begins; ``notify("READY=1")`` ends it."""
+        """Announce that a reload begins; ``notify("READY=1")`` ends it."""
         self.notify(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")

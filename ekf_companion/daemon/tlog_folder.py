@@ -1,7 +1,7 @@
-"""The folder of recordings: which files are ours, what the next is called, and which goes first.
+"""The folder of recordings: which files are ours, the next name, and which is deleted first.
 
 A board without a clock starts in 1970, or at its last shutdown, so that neither the times of files
-nor the times in their names say which is the oldest. A list beside them does: it has a line for
+nor the times in their names show which is the oldest. A list beside them does: it has a line for
 each file that was begun, in that order.
 """
 
@@ -92,12 +92,12 @@ class TlogFolder:
         return [(self.path / name, size) for _, _, name, size in sorted(found)]
 
     def free(self, size: int, *, or_none: bool = False) -> int:
-        """Delete our oldest files, but none that is being written; return the bytes freed.
+        """Delete our oldest files, except those being written; return the bytes freed.
 
         Args:
-            size: Bytes to free; where there are none, nothing is looked at.
-            or_none: Delete nothing where all of ours would be too few: what fills the disk is
-                somebody else's, and still would.
+            size: Bytes to free; at 0 nothing is looked at.
+            or_none: Delete nothing if all of our files together are too small: others fill the
+                disk, and would go on.
 
         Raises:
             OSError: The folder cannot be read.
@@ -127,7 +127,7 @@ class TlogFolder:
         sync(self.path)
 
     def _add_to_list(self, name: str) -> None:
-        """Add a file to the list; if the disk refuses, it is known in this run only."""
+        """Add a file to the list; if the disk fails, only this run knows it."""
         self._begun.append(name)
         new = self._list.with_name(self._list.name + ".new")
         try:
@@ -158,7 +158,7 @@ class TlogFolder:
 
 
 def _is_idle(path: Path) -> bool:
-    """Return whether nobody writes a file: whoever does has locked it."""
+    """Return whether nobody writes a file: a writer locks it."""
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC
     with suppress(OSError), open(os.open(path, flags), "rb", buffering=0) as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,9 +1,9 @@
-"""The recording: what went in and out, in .tlog files that rotate, written by two threads.
+"""The recording: all frames in and out, in .tlog files that rotate, written by two threads.
 
 One thread writes, four times a second: a kill loses less than a second. The other syncs what was
-written, twice a second: a loss of power loses less than a second too, and on top of it what a slow
-disk takes for one sync. A disk that is away, hangs or is full costs the recording and nothing else;
-it is tried again. ``tlog_folder`` decides which files are ours and may be deleted to make room.
+written, twice a second: a loss of power loses less than a second too, plus the time that a slow
+disk takes for one sync. A disk that is missing, hangs or is full costs the recording and nothing
+else; it is tried again. ``tlog_folder`` decides which files are ours and may be deleted.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ CHECK_PERIOD = 5.0
 BATCH = 1 << 18
 """Largest write, bytes."""
 WAITING = 8 * MB
-"""Bytes that wait for a slow disk: minutes of flight; what comes beyond is not recorded."""
+"""Bytes that wait for a slow disk: minutes of flight; beyond that nothing is recorded."""
 SLACK = 16 * MB
-"""Bytes more than ``record.free_space`` before a recording that stopped begins again."""
+"""Bytes beyond ``record.free_space`` at which a stopped recording begins again."""
 UNSYNCED = 8
 """Files that wait for their last sync; beyond that, no new one is begun."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
@@ -61,7 +61,7 @@ class _File:
 
 
 class Recorder:
-    """Records what goes in and out; a disk that is away, slow or full delays nobody."""
+    """Records what goes in and out; a missing, slow or full disk delays nobody."""
 
     def __init__(self, config: RecordConfig, path: str) -> None:
         """Start the threads; the first opens a file."""
@@ -169,7 +169,7 @@ class Recorder:
         self._lost += len(rest)
 
     def _begin_file(self) -> None:
-        """Begin the next file, or go on with the present one where that is not possible."""
+        """Begin the next file, or continue with the present one if that fails."""
         if len(self._open) > UNSYNCED:
             return
         try:
@@ -184,7 +184,7 @@ class Recorder:
         _log.info("Recording to %s", path)
 
     def _check_disk(self) -> None:
-        """Replace a file that is broken or deleted, make room, and stop or go on."""
+        """Replace a broken or deleted file, make room, and stop or resume recording."""
         if self._lost == self._lost_before and self._file is not None:
             self._trouble = ""
         self._lost_before = self._lost
@@ -209,7 +209,7 @@ class Recorder:
         self._checked_s = time.monotonic()
 
     def _fail(self, error: OSError) -> None:
-        """Warn once per trouble that not everything is recorded, and plan the way out of it."""
+        """Warn once per fault that not everything is recorded, and schedule the next attempt."""
         words = error.strerror or str(error)
         if words != self._trouble and self._file is None:
             _log.warning(_NO_FILE, self.path, words, CHECK_PERIOD)
@@ -247,7 +247,7 @@ class Recorder:
                 self._remove_empty()
 
     def _remove_empty(self) -> None:
-        """Remove the file of a run in which there was nothing to record."""
+        """Remove the file of a run that recorded nothing."""
         with suppress(OSError):
             if self._file is not None and self.path.stat().st_size == 0:
                 self.path.unlink()

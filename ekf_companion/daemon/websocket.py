@@ -1,7 +1,7 @@
-"""A WebSocket on a connection whose request has been read: sends what a viewer takes.
+"""A WebSocket on a connection whose request has been read: sends messages to a viewer.
 
-The library speaks the protocol (RFC 6455), and this thread moves the bytes. What the other end
-sends, other than to close, is dropped.
+The library implements the protocol (RFC 6455), and this thread moves the bytes. What the client
+sends is dropped, except a close.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ BUFFER = 1 << 16
 """Bytes that wait in the kernel for a slow client: five seconds of the page."""
 _WAIT = 0.5
 _LARGEST = 1024
-"""Bytes of a message from a client: it has nothing to say."""
+"""Bytes of a message from a client, which need not send any."""
 
 
 def serve(client: socket.socket, path: str, headers: Message, viewer: Viewer) -> None:
     """Open the WebSocket that a request asks for, and send until either end closes.
 
-    Whether the request may, :func:`ekf_companion.daemon.access.refuse_site` has decided.
+    :func:`ekf_companion.daemon.access.refuse_site` has decided whether the request may.
 
     Raises:
         OSError: The client is gone, or too slow.

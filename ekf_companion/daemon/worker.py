@@ -1,4 +1,4 @@
-"""Threads beside the loop: each may wait for a disk or a network, and only that thread waits."""
+"""Threads beside the loop: each may wait for a disk or a network without delaying the loop."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Worker:
 
     @property
     def busy_s(self) -> float:
-        """For how long the present call has been running, s; 0 between calls."""
+        """Duration of the present call, s; 0 between calls."""
         started_s = self._started_s
         return 0.0 if started_s is None else time.monotonic() - started_s
 
     def wake(self) -> None:
-        """Have the work done, as soon as the period allows."""
+        """Have the work done as soon as the period allows."""
         self._wake.set()
 
     def finish(self) -> None:

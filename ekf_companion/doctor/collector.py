@@ -55,7 +55,7 @@ A recording of a daemon that continued from a checkpoint has the answers to its 
 
 
 class EvidenceCollector:
-    """Runs a companion, and counts what it does not keep."""
+    """Runs a companion, and counts what the companion does not."""
 
     def __init__(self, config: Config, means: Means, signing: Signing | None = None) -> None:
         self.companion = Companion(config, signing=signing)
@@ -88,9 +88,9 @@ class EvidenceCollector:
     # What goes in, and what comes out
 
     def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> None:
-        """Process bytes that were read at ``now_ns``, or that a recording holds.
+        """Process bytes read at ``now_ns``, or recorded.
 
-        ``sender`` tells apart who sends datagrams to one socket.
+        ``sender`` distinguishes the senders of datagrams to one socket.
         """
         if self._first_ns is None:
             self._first_ns = now_ns

@@ -264,7 +264,7 @@ def _gnss(evidence: Evidence) -> Iterator[Problem]:
     is_first_version = evidence.first_version >= 0.99 * evidence.frames.frames
     if receiver.fix_type >= 3 and not receiver.has_accuracy and not is_first_version:
         yield warning(
-            "The receiver tells no accuracy (h_acc is 0): it is guessed from the dilution.",
+            "The receiver reports no accuracy (h_acc is 0): it is guessed from the dilution.",
             "Let the autopilot read the receiver in a protocol that has it (u-blox UBX), and let "
             "no router turn MAVLink 2 into 1.",
         )

@@ -10,7 +10,7 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 PAUSE_NS = 3 * SECOND_NS
 """A longer silence is a pause, and does not count for the rate."""
 LEAP_NS = SECOND_NS
-"""Difference between stamps and arrivals that no link makes: what is late is never early."""
+"""Difference between stamps and arrivals that no link causes: a delay is never negative."""
 
 
 class MessageCounter:

@@ -152,7 +152,7 @@ def _apart(evidence: Evidence) -> Problem | None:
 
 def _unread(evidence: Evidence) -> Problem:
     return warning(
-        "The autopilot did not tell its parameters, so nobody knows what it does with ODOMETRY.",
+        "The autopilot did not report its parameters, so its use of ODOMETRY is not known.",
         "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router; look yourself at "
         + ("EKF2_EV_CTRL and EKF2_GPS_CTRL." if evidence.family == "px4" else "EK3_SRC1_*."),
     )

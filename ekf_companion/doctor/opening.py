@@ -38,7 +38,7 @@ def _reason(opening: Opening) -> Problem:
             return failed(
                 "Nobody listens there, or the network does not reach it.",
                 "Start what should listen, and look at host and port in link.url: ArduPilot's "
-                "simulator and mavlink-router listen at TCP 5760; PX4 speaks UDP, to 14540: "
+                "simulator and mavlink-router listen at TCP 5760; PX4 sends UDP, to 14540: "
                 "udpin:0.0.0.0:14540.",
             )
         case errno.EADDRNOTAVAIL:

@@ -23,13 +23,13 @@ FURTHER: Mapping[Family, tuple[str, ...]] = {
     Family.UNKNOWN: (),
 }
 _PERIOD_NS = 40_000_000
-"""Between two requests: a second for all, and little traffic beside the streams."""
+"""Time between two requests: a second for all, and little traffic beside the streams."""
 _TIMEOUT_NS = 1_000_000_000
 _TRIES = 3
 
 
 class ParameterReader:
-    """Keeps the values that come, whoever asked, and asks for what nobody does. Without a clock."""
+    """Collects parameters that come, and requests those that nobody else does; clockless."""
 
     def __init__(self) -> None:
         self.answers: dict[str, float | None] = {}
@@ -82,7 +82,7 @@ class ParameterReader:
         return None
 
     def _open(self) -> list[str]:
-        """Return what has not been answered yet."""
+        """Return the parameters that have not been answered yet."""
         deciding = missing(self._family, self.answers) if self._is_deciding else ()
         names = (*deciding, *FURTHER[self._family])
         return [name for name in names if name not in self.answers]

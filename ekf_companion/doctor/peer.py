@@ -69,7 +69,7 @@ def _disturbances(evidence: Evidence, peer: PeerState, pilots: list[Source]) -> 
     rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
     if link.autopilot is None and len(rivals) > 1:
         yield warning(
-            f"Several autopilots speak here; the first that was heard, {peer.system_id}, is "
+            f"Several autopilots send here; the first that was heard, {peer.system_id}, is "
             "listened to.",
             f"Set link.autopilot = {peer.system_id}, or that of the right one.",
         )
@@ -108,7 +108,7 @@ def _nobody(evidence: Evidence, pilots: list[Source]) -> Problem:
         )
     if any(source.type == _GROUND_STATION for source in evidence.sources if source.heartbeats):
         return failed(
-            "Only a ground station speaks here, no autopilot.",
+            "Only a ground station sends here, no autopilot.",
             "Take the endpoint of the router on which the autopilot is; a ground station forwards "
             "it only if told so (QGroundControl: MAVLink forwarding; MAVProxy: --out).",
         )
@@ -203,12 +203,12 @@ def _missing(evidence: Evidence, come: set[str], refused: dict[str, str]) -> Ite
         yield _no_gnss(evidence, come)
     if not come & {*NORTH, "HIGHRES_IMU", "RAW_IMU"}:
         yield warning(
-            "No message tells where north is.",
+            "No message contains a heading.",
             "PX4: MAV_n_MODE = 2 (Onboard) has ATTITUDE. ArduPilot: SRn_EXTRA1 = 10.",
         )
     if not come & {"HIGHRES_IMU", "SCALED_PRESSURE"}:
         yield warning(
-            "No message tells the pressure, so the height rests on GNSS alone.",
+            "No message contains the pressure, so the height is that of GNSS alone.",
             "ArduPilot: SRn_RAW_SENS = 10. PX4: MAV_n_MODE = 2 (Onboard).",
         )
 
@@ -246,4 +246,4 @@ def _no_gnss(evidence: Evidence, come: set[str]) -> Problem:
             "independent measurement.",
             remedy,
         )
-    return failed("No GPS_RAW_INT comes: nothing tells where the vehicle is.", remedy)
+    return failed("No GPS_RAW_INT comes: there is no position.", remedy)

@@ -180,19 +180,19 @@ def _loop_rate(evidence: Evidence, state: MessageState) -> _Cause | None:
     """Return a cause if ArduPilot's loop is the limit: it grants no more than 0.8 of its rate."""
     if evidence.family != "ardupilot":
         return None
-    told = evidence.parameters.get("SCHED_LOOP_RATE")
+    known = evidence.parameters.get("SCHED_LOOP_RATE")
     granted = _promised(evidence, evidence.stamps.message)
-    loop = told or _PLANE_LOOP
+    loop = known or _PLANE_LOOP
     ceiling = _LOOP_SHARE * loop
-    is_denied = granted < state.asked and (told is None or ceiling < state.asked)
+    is_denied = granted < state.asked and (known is None or ceiling < state.asked)
     is_at_it = abs(state.rate - ceiling) <= 0.05 * ceiling and state.asked >= 1.1 * ceiling
     if not (is_denied or is_at_it):
         return None
     if is_at_it:
-        own = f"SCHED_LOOP_RATE = {loop:.0f}" if told else f"a SCHED_LOOP_RATE of {loop:.0f}"
+        own = f"SCHED_LOOP_RATE = {loop:.0f}" if known else f"a SCHED_LOOP_RATE of {loop:.0f}"
         why = f"that is 0.8 of {own}, the most that ArduPilot streams."
     else:
-        own = f"SCHED_LOOP_RATE = {told:.0f}" if told else "SCHED_LOOP_RATE"
+        own = f"SCHED_LOOP_RATE = {known:.0f}" if known else "SCHED_LOOP_RATE"
         why = (
             f"{granted:.0f} Hz were granted, and {state.asked:.0f} denied: ArduPilot streams no "
             f"more than 0.8 of {own}."

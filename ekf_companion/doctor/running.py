@@ -27,16 +27,18 @@ OLD_S = 1.0
 
 
 def diagnose_running(status: Data) -> list[StageResult]:
-    """Judge every stage of a daemon that runs; those that a failed one hides are unknown.
+    """Judge every stage of a running daemon; those that a failed one hides are unknown.
 
-    The daemon says causes and remedies itself, in the words of its status.
+    Causes and remedies are those of the daemon's status.
     """
     results: list[StageResult] = []
     is_hidden = False
     for stage in Stage:
         judge = _JUDGES.get(stage)
         if judge is None or is_hidden:
-            words = NOT_REACHED if is_hidden else "not told by a daemon: --link or --log tells it"
+            words = (
+                NOT_REACHED if is_hidden else "not in a daemon's status: --link or --log shows it"
+            )
             results.append(unknown(stage, words))
             continue
         saw, problems = judge(status)
@@ -49,13 +51,13 @@ _Seen = tuple[str, list[Problem]]
 
 
 def _words(status: Data) -> str:
-    """Return what the daemon says of itself, as a sentence."""
+    """Return the daemon's own words on its state, as a sentence."""
     words = str(status["health"]["words"])
     return f"{words[0].upper()}{words[1:]}."
 
 
 def _missing(status: Data) -> str:
-    """Return which input it lacks, of what it says of itself: the estimate stands before that."""
+    """Return which input the daemon reports as missing, ahead of the estimate."""
     words = str(status["health"]["words"])
     words = words.partition("; ")[2] or words
     return f"{words[0].upper()}{words[1:]}."

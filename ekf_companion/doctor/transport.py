@@ -61,7 +61,7 @@ def bytes_(evidence: Evidence) -> StageResult:
 def _silence(evidence: Evidence) -> Problem:
     kind, url = (evidence.opening.kind, evidence.opening.url) if evidence.opening else ("", "")
     listening = (
-        " PX4 over USB begins only when it hears a heartbeat: leave out --listen."
+        " PX4 over USB begins only when it receives a heartbeat: leave out --listen."
         if evidence.means is Means.LISTENING
         else ""
     )

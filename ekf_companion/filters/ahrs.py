@@ -210,10 +210,10 @@ class _Estimator:
         self._keep()
 
     def _keep(self) -> None:
-        """Keep the result, with the acceleration that cannot be told from tilt in its covariance.
+        """Store the result, with the acceleration that looks like a tilt in its covariance.
 
-        It lasts for seconds, so it is no noise that more steps would average. A dipping field
-        turns the yaw by it.
+        It is correlated over seconds, so more steps do not average it. In a dipping field it turns
+        the yaw.
         """
         self.corrections.append(self._q_ni)
         self.biases.append(self._bias)
@@ -221,9 +221,9 @@ class _Estimator:
         self.covariances.append(self._P + self._wander.variance * np.diag(one))
 
     def _correct_tilt(self) -> Array:
-        """Correct roll and pitch by the low-passed gravity; return the turn about north and east.
+        """Correct roll and pitch by the low-passed gravity; return the rotation about n and e.
 
-        The error of the low-pass is the error of the tilt, not a noise to be averaged.
+        The error of the low-pass is that of the tilt, and not white noise that averages.
         """
         s, gravity = self.settings, self._gravity
         sigma = gravity.sigma(self._frame.elapsed)
@@ -295,9 +295,9 @@ class _Estimator:
         self._compare_with_field(down_b)
 
     def _compare_with_field(self, down_b: Array) -> None:
-        """Fuse the bias about the vertical at which the field, at rest, would not turn.
+        """Fuse the gyro bias about the vertical for which the field, at rest, does not turn.
 
-        However many steps say so, the field's own error remains.
+        The field's own error remains, however many steps agree.
         """
         s, frame, turn = self.settings, self._frame, self._turn
         if not frame.fields:

@@ -199,11 +199,11 @@ class LowPass:
 
 
 class Wander:
-    """How far the low-passed specific force wanders in frame i, where gravity stands still.
+    """How far the low-passed specific force moves in frame i, where gravity is constant.
 
-    What wanders is the acceleration of the motion, which a tilt cannot be told from: the filter
-    follows it, and is wrong by it. The length of the specific force does not show that: a level
-    acceleration of a tenth of gravity is a tilt of 6 degrees and changes the length by 0.5 %.
+    What moves it is the acceleration of the vehicle, which cannot be distinguished from a tilt: the
+    filter follows it, and is wrong by it. The length of the specific force does not show that: a
+    level acceleration of a tenth of gravity is a tilt of 6 degrees and changes the length by 0.5 %.
     """
 
     def __init__(self, memory: float) -> None:

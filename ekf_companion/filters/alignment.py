@@ -1,8 +1,7 @@
-"""Initial alignment: the first estimate is that with which the main estimator starts to navigate.
+"""Initial alignment: each filter starts from the state of the main estimator at its start.
 
-So the filters differ in how they filter, and not in how they start: at rest or in motion, what is
-taken for rest, how old a heading may be and what all that leaves unknown is decided in
-:mod:`ekf_companion.core` alone.
+So the filters differ in how they filter, not in how they start. What counts as rest, how old a
+heading may be and the initial covariance are decided in :mod:`ekf_companion.core` alone.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ def align(
 ) -> InitialEstimate:
     """Return the main estimator's state at the first sample after it has begun to navigate.
 
-    Events are complete, in order of the time when they were true; positions count in the frame.
+    Events are complete, in order of their time of validity; positions are metres of the frame.
 
     Raises:
         LogError: The recording ends before that, or right there.

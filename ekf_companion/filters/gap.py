@@ -1,9 +1,9 @@
-"""Gaps in a vehicle's inertial samples: what it does meanwhile, as the main estimator takes it.
+"""Gaps in a vehicle's inertial samples: its motion in them, by the model of the main estimator.
 
 Rate and specific force are a first-order Gauss-Markov process each, whose values at both ends of a
 gap are known. The numbers are those of ``inflate_after_gap`` in
-:mod:`ekf_companion.core.order.step`, whose equations are compiled for its own
-state; ``tests/filters/test_gap.py`` compares both.
+:mod:`ekf_companion.core.order.step`, whose equations are compiled for its own state;
+``tests/filters/test_gap.py`` compares both.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
 SHORTEST = ImuSettings().gap
-"""Longest step between samples that is no gap, s."""
+"""Longest step between samples that is not a gap, s."""
 SLOW = 3.0
-"""Usual steps beyond which there is a gap, however slow the samples come."""
+"""Multiple of the usual step beyond which there is a gap, even at a low rate."""
 IRREGULAR = 1.5
-"""Usual steps beyond which a sample does not stand for the whole time since the one before."""
+"""Multiple of the usual step beyond which a sample is not the mean since the one before."""
 MOTION_TIME = 0.4
 """Correlation time of a vehicle's motion, s."""
 RATE_STD, FORCE_STD = 0.5, 6.7
-"""One sigma of its rate, rad/s, if both ends show no more, and specific force, m/s^2."""
+"""One sigma of its rate, rad/s, unless both ends show more, and of its specific force, m/s^2."""
 LARGEST_TURN = 2.0
-"""Largest turn that is expected to go on over a whole gap, rad."""
+"""Largest rotation that is expected to continue over a whole gap, rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """One sigma of what a gap hides, per axis."""
+    """One sigma of the unknown motion in a gap, per axis."""
 
     tilt: float
     """rad."""
@@ -46,7 +46,7 @@ class Lost:
     """m."""
 
     def covariance(self, q_nb: Array) -> Array:
-        """Return what is added to the covariance of the error state, shape (15, 15)."""
+        """Return what to add to the covariance of the error state, shape (15, 15)."""
         C_nb = so3.to_matrix(q_nb)
         Q = np.zeros((N, N))
         Q[ATT, ATT] = C_nb.T @ np.diag([self.tilt**2, self.tilt**2, self.yaw**2]) @ C_nb
@@ -56,11 +56,11 @@ class Lost:
 
 
 def lost_motion(span: float, shortest: float = SHORTEST, gyro: Array | None = None) -> Lost | None:
-    """Return what a step between samples hides, or None if it is no gap.
+    """Return the unknown motion in a step between samples, or None if it is not a gap.
 
     Args:
         span: Its length, s.
-        shortest: The longest that is no gap, s.
+        shortest: The longest step that is not a gap, s.
         gyro: The rates at both its ends, rad/s, shape (2, 3).
     """
     if not span > shortest:
@@ -72,11 +72,11 @@ def lost_motion(span: float, shortest: float = SHORTEST, gyro: Array | None = No
 
 
 def hidden(span: float, turned: float, gained: float) -> Lost:
-    """Return what a gap hides, with bounds: tilt by half a radian, whatever the gap.
+    """Return the unknown motion in a gap, with bounds: tilt by half a radian at most.
 
     Args:
         span: Its length, s.
-        turned: One sigma of the turn in it, rad.
+        turned: One sigma of the rotation in it, rad.
         gained: One sigma of the change of velocity, m/s.
     """
     velocity = min(gained, 20.0)
@@ -89,11 +89,11 @@ def hidden(span: float, turned: float, gained: float) -> Lost:
 
 
 def seen_share(span: float, gyro: Array | None = None) -> float:
-    """Return which share of the mean of both ends is expected over a gap, 1 down to 0.
+    """Return the share of the mean of both ends that is expected over a gap, 1 down to 0.
 
     Args:
         span: Its length, s.
-        gyro: The rate at its end, rad/s, shape (3,): by so much nothing turns for long.
+        gyro: The rate at its end, rad/s, shape (3,): no vehicle turns so fast for long.
     """
     if gyro is not None and float(gyro @ gyro) * span * span > LARGEST_TURN**2:
         return 0.0
@@ -102,9 +102,9 @@ def seen_share(span: float, gyro: Array | None = None) -> float:
 
 
 def over_gap(over: Interval, state: Nominal, earth: Earth, share: float) -> Interval:
-    """Return an interval of a gap with a share of what its ends show; 0: no turn, no acceleration.
+    """Return the interval of a gap with a share of the mean of its ends; 0: no motion.
 
-    What it does not share is the motion of a vehicle that neither turns nor accelerates.
+    For the rest the vehicle is assumed neither to turn nor to accelerate.
     """
     C_bn = so3.to_matrix(state.q_nb).T
     rate_b = state.gyro_bias + C_bn @ earth.rate_n

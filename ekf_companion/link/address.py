@@ -115,8 +115,8 @@ def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
         raise LinkError(f"{peer!r}: has a character that no address has; take it out")
     if address.kind not in (Kind.UDP_IN, Kind.UDP_BROADCAST):
         raise LinkError(
-            f"{peer}: only udpin: and udpbcast: hear several senders, and the link is {address}; "
-            "leave the peer out"
+            f"{peer}: only udpin: and udpbcast: receive from several senders, and the link is "
+            f"{address}; leave the peer out"
         )
     match = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\[\]]+))(?::(\d+))?", peer)
     if match is None:
@@ -126,7 +126,7 @@ def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
         return peer, 0
     port = int(match[3] or 0)
     if match[3] is not None and not 0 < port < 65536:
-        raise LinkError(f"{peer}: {port} is no port; leave it out to hear any port of that host")
+        raise LinkError(f"{peer}: {port} is no port; leave it out to accept any port of that host")
     return match[1] or match[2], port
 
 

@@ -1,8 +1,8 @@
-"""Messages that wait for a slow stream, in the order of sending, without descriptor and clock.
+"""Messages that wait for a slow stream, in the order of sending; no descriptor and no clock.
 
-An old estimate does harm: so the waiting time of a message is bounded, and of replaceable messages
-only the newest waits. The order is never changed, since frames are numbered and signed in it. A
-message of which a part has been written is always completed.
+An old estimate does harm, so the wait of a message is bounded, and of replaceable messages only the
+newest waits. The order never changes, since frames are numbered and signed in it. A message that
+has been written in part is always completed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ FRESH_NS = 150_000_000
 PATIENCE_NS = 500_000_000
 """Longest wait of any other: heartbeats and answers are asked for again after 1 s."""
 LARGEST = 1 << 16
-"""Bytes that may wait, whoever makes us answer; beyond that the oldest message is dropped."""
+"""Bytes that may wait, whatever is asked of us; beyond that the oldest message is dropped."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Which process holds a device or a port, from /proc."""
+"""Which process uses a device or a port, from /proc."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _DEVICES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Holder:
-    """A process that holds the device or the port."""
+    """A process that uses the device or the port."""
 
     pid: int
     name: str
     unit: str = ""
     """The service of systemd that it belongs to; empty if there is none."""
     is_users: bool = False
-    """Whether that service is one of a user's own systemd."""
+    """Whether that service belongs to a user's own systemd."""
     is_daemon: bool = False
     """Whether it is the daemon of this project."""
 

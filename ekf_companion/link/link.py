@@ -23,23 +23,23 @@ _log = logging.getLogger(__package__)
 QUEUE_LENGTH = 1024
 """Reads that may wait for the caller; beyond that the oldest is dropped."""
 FIRST_DELAY, LAST_DELAY = 0.5, 1.0
-"""Seconds from one attempt to open a link to the next, doubled each time that nothing came. What
-comes back is opened within that time, plus ``PATIENCE``."""
+"""Seconds between attempts to open a link, doubled after each failure. A link that is back is
+reopened within that time plus ``PATIENCE``."""
 LOST = 1.0
-"""Seconds without a route for our datagrams after which the socket is reopened: its local address,
-which is chosen when it is opened, may be gone."""
+"""Seconds without a route for our datagrams after which the socket is reopened: the local address
+that it was opened with may be gone."""
 SILENT = 1.0
 """Seconds without an accepted frame from a TCP client after which another may replace it: an
 autopilot sends its heartbeat once a second, and others more often."""
 TAKEN = (errno.EADDRINUSE, errno.EBUSY, errno.EAGAIN)
-"""Why a link does not open that another program has; the last of a serial port."""
+"""Why a link does not open that another program uses; the last of a serial port."""
 NOT_FIRST = "another client is connected"
 PATIENCE = 2.0
 """Seconds that a connection may take: the kernel tries twice in them."""
 
 
 class Received(NamedTuple):
-    """The result of one read."""
+    """Bytes of one read, their sender and time of arrival."""
 
     data: bytes
     now_ns: int
@@ -112,7 +112,7 @@ class Link:
 
     @property
     def is_open(self) -> bool:
-        """Whether the descriptor is open; with UDP that tells nothing about the other end."""
+        """Whether the descriptor is open; with UDP the other end may be absent all the same."""
         return self._port is not None
 
     @property
@@ -143,7 +143,7 @@ class Link:
                     part.close()
 
     def _holder(self) -> str:
-        """Return which process has the port and what to do, if that is why it does not open."""
+        """Return which process uses the port and what to do, if that is why it does not open."""
         if self.failure is None or self.failure.errno not in TAKEN:
             return ""
         if (holder := holder_of(self.address)) is None:

@@ -26,7 +26,7 @@ UNANSWERED_MS = 3000
 """Longest time for which a TCP peer may not confirm our bytes, before it counts as lost. Without
 this limit the kernel tries again, less and less often, for a quarter of an hour."""
 BITS = 10
-"""On the wire for each byte: 8N1."""
+"""Bits on the wire for each byte: 8N1."""
 QUEUED = 0.05
 """Seconds of sending that the system may buffer for a tty: it cannot be withdrawn, and without a
 limit that is 4 KiB, 0.7 s at 57600 baud."""
@@ -108,7 +108,7 @@ class SerialPort(Port):
         return 0.0 if queued < self._most else (queued - self._most / 2) / self._rate
 
     def _queued(self) -> int:
-        """Return the bytes that the system has buffered; 0 too if the driver does not tell."""
+        """Return the bytes that the system has buffered; 0 too if the driver does not report it."""
         try:
             answer = fcntl.ioctl(self._descriptor, termios.TIOCOUTQ, bytes(4))
         except OSError:
@@ -116,7 +116,7 @@ class SerialPort(Port):
         return int(struct.unpack("=i", answer)[0])
 
     def close(self) -> None:
-        """Discard what is buffered, which would delay it where the device is gone, and close."""
+        """Discard what is buffered, which would delay the closing of a lost device, and close."""
         with contextlib.suppress(OSError, termios.error):
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
         super().close()

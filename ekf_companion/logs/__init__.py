@@ -1,6 +1,6 @@
-"""Recorded flights, one file per format: columns first, objects never in the loop.
+"""Recorded flights, one file per format: columns first, no object per sample.
 
-What looks at every byte is compiled ahead of time, like the kernel: the files named ``*_search``.
+Loops over every byte are compiled ahead of time, like the kernel: the files named ``*_search``.
 """
 
 from ekf_companion.errors import is_compiled

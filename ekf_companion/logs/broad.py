@@ -35,7 +35,7 @@ FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4}
 """Arrays of a trial, and their columns."""
 OF_PYTHON = (ValueError, TypeError, LookupError, OSError, ArithmeticError, AttributeError, EOFError)
 DAMAGE = (*OF_PYTHON, AssertionError, MemoryError, zlib.error, struct.error, MatReadError, Warning)
-"""What SciPy's reader fails with on a damaged file."""
+"""Exceptions of SciPy's reader on a damaged file."""
 
 
 def read(path: Path) -> Recording:
@@ -105,7 +105,7 @@ def _array(path: Path, content: dict[str, Any], name: str, width: int) -> Array:
 
 
 def _forward_right_down(values: Array) -> Array:
-    """Turn vectors, or vector parts of quaternions, from right-forward-up (or ENU) to ours."""
+    """Rotate vectors, or vector parts of quaternions, from right-forward-up (or ENU) to ours."""
     turned: Array = np.array(values)
     turned[:, -3:] = values[:, [-2, -3, -1]] * [1.0, 1.0, -1.0]
     return turned

@@ -1,4 +1,4 @@
-"""What kind of log a file is by its first bytes, whatever its suffix says."""
+"""The kind of log that a file is, by its first bytes and not by its suffix."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs.source import PACKED, head_of
 
 HEAD = 1024
-"""Bytes that are looked at."""
+"""Bytes that are examined."""
 HOUR_US = 3_600_000_000
-"""Two frames that follow each other in a telemetry log are nearer in time."""
+"""Consecutive frames of a telemetry log are closer in time than this, us."""
 
 
 _TEXT = re.compile(rb"^\s*FMT\s*,\s*128\s*,", re.MULTILINE)
@@ -33,7 +33,7 @@ TLOG = Content("a telemetry log (stamped MAVLink)", ".tlog")
 
 
 def content_of(head: bytes) -> Content | None:
-    """Return the kind of log that begins so; None: none that is known."""
+    """Return the kind of log by its first bytes; None: not known."""
     if head.startswith(b"ULog\x01\x12"):
         return ULOG
     if head.startswith(b"\xa3\x95\x80"):  # the record that declares records
@@ -56,7 +56,7 @@ def _frame(head: bytes, place: int) -> int:
 
 
 def check_suffix(path: Path, suffix: str) -> None:
-    """Refuse a log of one kind under the suffix of another.
+    """Refuse a log whose suffix is that of another kind.
 
     Raises:
         LogError: The file is of another kind than its suffix says; it names the remedy.

@@ -192,7 +192,7 @@ class _Clock:
         return len(self._rows) - sum(end - first for first, end in self._ranges)
 
     def notes(self) -> Iterator[str]:
-        """Return what is to be said about rows that were dropped."""
+        """Return notes on rows that were dropped."""
         why = "without a time, or one that does not fit the rest,"
         yield from misfits(self.lost, len(self._rows), why)
 

@@ -26,7 +26,7 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 """Units by dimension, and their size in SI and radians."""
 _SUFFIXES = {"rps": "rad/s", "dps": "deg/s", "mps2": "m/s2", "mps": "m/s", "kmph": "km/h"}
-"""Spelling in header names of units with a stroke; other units are spelt as they are."""
+"""Spelling in header names of units with a slash; other units are spelt as they are."""
 QUANTITIES = {
     "time": "time",
     **{f"gyro_{axis}": "gyro" for axis in "xyz"},
@@ -44,7 +44,7 @@ GROUPS = {
     "imu": [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"],
     "mag": [f"mag_{axis}" for axis in "xyz"],
 }
-"""Quantities of which one is of no use without the others."""
+"""Quantities that are only usable together."""
 OPTIONS = ("hold", "origin", "heading_source", "delimiter")
 
 

@@ -1,4 +1,4 @@
-"""Events from the rows of a table, part by part: what a row holds of each sensor."""
+"""Events from the rows of a table, part by part: the sensors in each row."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Columns = dict[str, Array]
 """Quantities in SI and radians, NaN where a row has none."""
 
 GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
-"""m, m, m/s where the file holds no accuracy: a receiver in the open, on the safe side."""
+"""m, m, m/s where the file holds no accuracy: a receiver in the open, rounded up."""
 HEADING_STD_DEG = 5.0
 """deg, where the file holds no accuracy."""
 SEA_LEVEL_PRESSURE = 101325.0
@@ -32,7 +32,7 @@ _HOLDABLE = ("gps", "mag", "baro", "heading")
 
 
 class EventMaker:
-    """Makes events of rows, which it is given part by part."""
+    """Makes events from the rows of a table, part by part."""
 
     def __init__(
         self, where: str, sources: Mapping[str, Source], options: Mapping[str, Any]
@@ -60,7 +60,7 @@ class EventMaker:
         self._nowhere = 0
 
     def notes(self, total: int) -> list[str]:
-        """Return what is to be said about all rows, of which there were so many."""
+        """Return notes on all rows, given their number."""
         notes = []
         if "gps_north" in self._names or "gps_lat" in self._names:
             if missing := [name for name in GNSS_STD if name not in self._names]:
@@ -82,7 +82,7 @@ class EventMaker:
         return notes
 
     def events(self, t_ns: Stamps, row: Indices, values: Columns) -> Events:
-        """Return the events of the next rows: of their stamps, numbers and quantities."""
+        """Return the events of the next rows, given their stamps, numbers and quantities."""
         if self._last is not None:  # the row before: values may be held since
             before_ns, before, known = self._last
             t_ns, row = np.append(before_ns, t_ns), np.append(before, row)
@@ -162,16 +162,16 @@ class EventMaker:
 
 
 class _Part(NamedTuple):
-    """The rows of the file that hold any quantity of a sensor."""
+    """Rows of the file that hold any quantity of a sensor."""
 
     row: Indices
-    """Their numbers."""
+    """Row numbers."""
     is_new: Mask
     """Whether they were not there in the part before."""
     t_ns: Stamps
     values: Columns
     is_apart: Mask
-    """Whether the row before holds none."""
+    """Whether the row before holds none of them."""
 
     def changed(self, *columns: Array) -> Mask:
         """Return in which rows a column differs from the row before in the file."""
@@ -181,7 +181,7 @@ class _Part(NamedTuple):
 def _part(
     t_ns: Stamps, is_new: Mask, values: Columns, begin: str, constant: Collection[str]
 ) -> _Part:
-    """Take the quantities whose names begin so out of the table."""
+    """Take the quantities whose names begin with a prefix out of the table."""
     chosen = {name: values.pop(name) for name in [*values] if name.startswith(begin)}
     any_known = np.zeros(len(t_ns), dtype=bool)
     for name in chosen.keys() - constant:
@@ -200,7 +200,7 @@ def _found(
     needed: list[Array],
     held: list[Array] | None,
 ) -> Arrivals:
-    """Return events where the needed columns are known and, where values are held, have changed."""
+    """Return events where the needed columns are known and, with ``hold``, have changed."""
     mask = part.is_new.copy()
     for column in needed:
         mask &= np.isfinite(column)

@@ -18,11 +18,12 @@ class Known:
     name: str
     """The program, for the notes."""
     header: frozenset[str]
-    """Columns that together identify it; there may be more."""
+    """Columns that together identify it; others may follow."""
     columns: Mapping[str, Any]
     """As in a ``.columns.yaml``."""
     zero_height: float = 0.0
-    """Altitude that the map gives to the file's height of zero, where its place is made up, m."""
+    """Altitude that the map gives to the file's height of zero, m, where its position is
+    invented."""
 
 
 def _axes(quantity: str, column: str, unit: str, signs: tuple[int, int, int]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from ekf_companion.nav.state import COLUMNS, Table
 
 _STATUS = COLUMNS.index("status") - 1
 AT_ONCE = 1024
-"""Lines that are made at once: their text stays in the processor's cache."""
+"""Lines made at a time: their text stays in the processor's cache."""
 _NAMES = [name.encode() for name in STATUS_NAMES]
 
 
@@ -53,9 +53,9 @@ class Writer(EstimateWriter):
 
 
 def _ends(numbers: npt.NDArray[np.int64]) -> Iterator[tuple[bytes, int]]:
-    """Yield the ends of lines, and how many lines in a row have each.
+    """Yield the ends of lines, and for how many consecutive lines each holds.
 
-    They are of the numbers of status, resets and reasons, shape (n, 3).
+    They hold status, resets and reasons, of shape (n, 3).
     """
     firsts = np.flatnonzero((numbers[1:] != numbers[:-1]).any(axis=1)) + 1
     firsts = np.concatenate([[0], firsts])

@@ -46,9 +46,9 @@ from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.mounting import trim_matrix
 
 DEFINITIONS = {"FMT", "FMTU", "UNIT", "MULT", "PARM"}
-"""Messages that say what others mean, and how the autopilot was set up: not what it measured."""
+"""Messages that describe others, or the autopilot's setup, rather than measurements."""
 STREAMED = ("IMU", "MAG", "BARO")
-"""Messages whose rows are never in memory all together."""
+"""Messages whose rows are never in memory all at once."""
 
 GNSS_STD_MIN = 0.5
 """m; ArduPilot's own default for a receiver that gives no accuracy (EK3_POSNE_M_NSE)."""
@@ -63,9 +63,9 @@ SAMPLE_TIME_NS = 1_000_000_000
 GPS_EPOCH_S, LEAP_S = 315_964_800, 18
 """1980-01-06, s since 1970; GPS time less UTC since 2017."""
 FIRST_TIME_US = "2014-06"
-"""When ArduPilot began to write stamps in microseconds (3.3)."""
+"""Date at which ArduPilot began to write stamps in microseconds (3.3)."""
 FIRST_DATES = ("2019", "2019", "2021", "2022", "2022", "2023", "2023", "2024")
-"""The year in which development of ArduPilot 4.0, 4.1, ... began."""
+"""Year in which the development of ArduPilot 4.0, 4.1, ... began."""
 _VERSION = re.compile(rb"(?:Ardu|Blimp|Antenna)\w* V4\.(\d{1,2})\b")
 """How the firmware names itself."""
 _EVENTS = {
@@ -74,7 +74,7 @@ _EVENTS = {
     18: ("landed", True),
     28: ("landed", False),
 }
-"""What an EV.Id tells (AP_Logger.h, LogEvent)."""
+"""Meaning of EV.Id (AP_Logger.h, LogEvent)."""
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
@@ -149,7 +149,7 @@ def read(path: Path) -> Recording:
 
 
 def _began_s(stored: Tables, zero_ns: int | None) -> float | None:
-    """Return when the log began, s since 1970, UTC."""
+    """Return the time at which the log began, s since 1970, UTC."""
     if zero_ns is None:
         return None
     stamped = [boot_ns(one.read(0, 1)) for one in stored.values() if "TimeUS" in one.names]
@@ -170,7 +170,7 @@ def _utc_zero_ns(tables: Columns, notes: list[str]) -> int | None:
 
 
 def _first_date(tables: Columns) -> str:
-    """Return before when a log of its firmware cannot have been written."""
+    """Return the earliest date at which a log of its firmware can have been written."""
     table = tables.get("MSG")
     if table is not None and "Message" in names_of(table):
         for words in table["Message"]:
@@ -189,7 +189,7 @@ def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
 
 
 def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
-    """Return the GPA row nearest to each GPS row, and where it was written with it."""
+    """Return the GPA row nearest to each GPS row, and whether it was written with it."""
     if (rows := rows_of(tables, "GPA")) is None:
         return None
     table, at_ns = rows
@@ -199,7 +199,7 @@ def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
 
 
 def _by_receiver(tables: Columns) -> list[tuple[GnssFlag, Columns]]:
-    """Return the rows of each receiver in use, with the flag that tells it from the first."""
+    """Return the rows of each receiver in use, with the flag of the second receiver."""
     table = tables.get("GPS")
     if table is None or INSTANCE not in names_of(table):
         return [(GnssFlag.NONE, tables)]
@@ -353,9 +353,9 @@ def _is_submarine(tables: Columns) -> bool:
 
 
 def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arrivals]:
-    """Return what turns samples and magnetic fields into the axes of the vehicle.
+    """Return the rotation of samples and magnetic fields from the board to the vehicle.
 
-    A log has them in those of the board.
+    The log has them in the axes of the board.
     """
     roll, pitch = (parameter(tables, name) or 0.0 for name in ("AHRS_TRIM_X", "AHRS_TRIM_Y"))
     if not (roll or pitch):

@@ -36,7 +36,7 @@ def stamps(table: Column) -> Stamps:
 
 
 def parameters(tables: Mapping[str, StoredRows | Column]) -> dict[str, float]:
-    """Return the first value that a log has of each parameter: what was flown with."""
+    """Return the first value of each parameter in the log."""
     table = tables.get("PARM")
     if table is None:
         return {}
@@ -53,6 +53,6 @@ def parameters(tables: Mapping[str, StoredRows | Column]) -> dict[str, float]:
 
 
 def parameter(tables: Mapping[str, StoredRows | Column], name: str) -> float | None:
-    """Return the first value that a log has of a parameter; None: it has none."""
+    """Return the first value of a parameter in the log; None: it is not there."""
     value = parameters(tables).get(name)
     return value if value is not None and np.isfinite(value) else None

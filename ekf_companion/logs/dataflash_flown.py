@@ -21,7 +21,7 @@ def filters(tables: Columns) -> list[tuple[str, str]]:
 def setting_of_dcm(tables: Columns) -> str:
     """Return the parameter by which it flew on DCM; empty: it did not.
 
-    A filter that runs then only looks on: ATT is DCM's attitude, and AHR2, the other estimate, is
+    A filter that runs then is not flown on: ATT is DCM's attitude, and AHR2, the other estimate, is
     the filter's, with its position as latitude, longitude and height.
     """
     for name in ("AHRS_EKF_USE", "AHRS_EKF_TYPE"):

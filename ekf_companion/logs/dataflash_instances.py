@@ -41,11 +41,11 @@ ASKED: dict[str, tuple[str, ...]] = {
     "NKF4": ("TimeUS", "TimeMS", "C", "PI"),
     "XKFS": ("TimeUS", "C", "MI", "BI"),
 }
-"""Messages that say which sensors are used, and the columns that are read of each."""
+"""Messages that name the sensors in use, and the columns that are read of each."""
 
 
 def choose(tables: Tables, notes: list[str]) -> Tables:
-    """Return the tables with the rows of the sensors in use, and without those that say which.
+    """Return the tables with the rows of the sensors in use, without the messages that name these.
 
     All rows of a kind are put in the table of its first message, and numbered where there were
     several.
@@ -87,7 +87,7 @@ def _rename(tables: Tables, name: str, sensors: Sequence[Sensor]) -> None:
 
 
 def _primary_lanes(tables: Tables) -> dict[str, Wanted]:
-    """Return from when on which lane is primary, by the message that the lanes write.
+    """Return the primary lane over time, by the message that the lanes write.
 
     Of two filters that run, that which flies (AHRS_EKF_TYPE) comes first.
     """
@@ -102,7 +102,7 @@ def _primary_lanes(tables: Tables) -> dict[str, Wanted]:
 
 
 def _wanted(tables: Tables, lanes: dict[str, Wanted]) -> dict[str, Wanted]:
-    """Return from when on the autopilot uses which sensor, by kind."""
+    """Return the sensor that the autopilot uses over time, by kind."""
     wanted: dict[str, Wanted] = {}
     gps = tables.get("GPS")
     if gps is not None and "U" in gps.names and is_numbered(gps):
@@ -125,7 +125,7 @@ def _wanted(tables: Tables, lanes: dict[str, Wanted]) -> dict[str, Wanted]:
 
 
 def _is_of(used: Sequence[Stretch], column: str, rows: Column) -> Mask:
-    """Return which rows are of the sensor, or the lane, in use; the column numbers them."""
+    """Return which rows belong to the sensor, or the lane, in use, by the column of its number."""
     keys = np.array([one.key for one in used])
     return np.asarray(rows[column] == keys[instances.place_of(used, stamps(rows))])
 
@@ -163,7 +163,7 @@ def _notes(
     sensors: Sequence[Sensor],
     begun_ns: int,
 ) -> list[str]:
-    """Return what is to be said of the choice."""
+    """Return notes on the choice."""
     names = {
         one.number: one.message if one.is_named else f"instance {one.number}" for one in sensors
     }
@@ -194,7 +194,7 @@ def _put_together(
     sensors: Sequence[Sensor],
     used: Sequence[Stretch],
 ) -> None:
-    """Put the rows that are used in the table of the first message."""
+    """Put the rows in use in the table of the first message."""
     keys = {one.key for one in used}
     if len(keys) == 1 and all(one.is_named for one in sensors):
         _rename(tables, name, [one for one in sensors if one.number in keys])
@@ -219,7 +219,7 @@ def _put_together(
 def _rows_between(
     name: str, table: StoredRows
 ) -> Callable[[instances.Key, int, int], tuple[Stamps, Array]]:
-    """Return what finds the good rows of a sensor from a time to before another."""
+    """Return a function that finds the good rows of a sensor between two times."""
 
     def rows_of(key: instances.Key, begin_ns: int, end_ns: int) -> tuple[Stamps, Array]:
         times, values = [np.empty(0, dtype=np.int64)], [np.empty((0, len(ALIGNED[name])))]
@@ -244,7 +244,7 @@ def _aligned(
     used: Sequence[Stretch],
     rows_of: Callable[[instances.Key, int, int], tuple[Stamps, Array]],
 ) -> StoredRows:
-    """Return the rows with the values of each sensor brought to those of the first."""
+    """Return the rows with the offset of each sensor to the first removed."""
     steps = instances.steps(used, rows_of)
     found = StoredRows(table.dtype)
     for _, rows in table.parts():
@@ -288,7 +288,7 @@ def _join(tables: Tables, name: str, sensors: Sequence[Sensor]) -> None:
 def _of_lane(
     name: str, table: StoredRows, lanes: dict[str, Wanted], notes: list[str]
 ) -> StoredRows:
-    """Return the estimates of the primary lane; without it of the lowest."""
+    """Return the estimates of the primary lane; where it is not known, of the lowest."""
     if "C" not in table.names or table.dtype["C"] != np.uint8:
         return table
     parts = [np.unique(rows["C"]) for _, rows in table.parts()]

@@ -1,4 +1,4 @@
-"""Rows of old ArduPilot logs that say less: a barometer's height in CTUN, and rows without a stamp.
+"""Rows of old ArduPilot logs: a barometer's height in CTUN, and rows without a stamp.
 
 ArduCopter 3.1 writes no BARO message, and no time in ATT, MAG and CTUN.
 
@@ -19,14 +19,14 @@ from ekf_companion.nav.arrays import Stamps
 TUNING = "CTUN"
 STAMPS = ("TimeUS", "TimeMS")
 HEIGHTS = ("BarAlt", "BAlt")
-"""Columns of CTUN with the barometer's height, m, over where it was set to 0."""
+"""Columns of CTUN with the barometer's height, m, above the place where it was zeroed."""
 _BAROMETERS = ("BARO", "BAR2", "BAR3")
 _UNSTAMPED = ("ATT", "MAG", "BARO")
-"""Messages that are used, and had no stamp once."""
+"""Messages that once had no stamp."""
 
 
 def with_barometer(tables: Tables, notes: list[str]) -> Tables:
-    """Return the tables, without CTUN: its barometer's height is BARO where there is none."""
+    """Return the tables without CTUN; its barometer's height replaces a missing BARO."""
     found = {name: table for name, table in tables.items() if name != TUNING}
     table = tables.get(TUNING)
     if table is None or any(len(found.get(name, ())) for name in _BAROMETERS):
@@ -50,7 +50,7 @@ def with_barometer(tables: Tables, notes: list[str]) -> Tables:
 
 
 def stamp_by_place(tables: Tables, notes: list[str]) -> None:
-    """Give rows without a stamp the time that inertial samples around them in the file have."""
+    """Stamp rows without a time by the inertial samples around them in the file."""
     unstamped = [
         name for name in _UNSTAMPED if name in tables and not {*STAMPS} & {*tables[name].names}
     ]

@@ -16,11 +16,12 @@ AT_ORIGIN = 1.0
 """m. Where EKF1 takes a new origin it is there itself: of the first row after, the largest distance
 seen is 0.1 m."""
 LEAP = 1.0
-"""m, beyond what the velocity explains from one row to the next: corrections move by decimetres."""
+"""Jump from one row to the next beyond the velocity, m: corrections move by decimetres."""
 SILENCE = 2.0
-"""Time between two rows, s, over which a velocity says nothing of the way: the log was stopped."""
+"""Longest time between two rows, s, over which a velocity is integrated: longer, the log was
+paused."""
 FEWEST_FIXES = 10
-"""Fixes from which on one of several origins is fitted: two seconds of a receiver at 5 Hz."""
+"""Fewest fixes to which one of several origins is fitted: two seconds of a receiver at 5 Hz."""
 _FITTED = ", so a constant offset between the two is not seen"
 
 
@@ -75,10 +76,10 @@ def geodetic(
 
 
 def new_origins(t_ns: Stamps, ned: Array, vel_n: Array) -> Indices:
-    """Return the rows from which on positions count from another origin than those before.
+    """Return the rows at which positions begin to count from another origin.
 
-    EKF1 takes one where the vehicle is armed. Its positions leap to it, or come back to it over a
-    time that was not logged. A leap to elsewhere is a reset of the estimate, about the same origin.
+    EKF1 takes one when the vehicle is armed. Its positions jump to it, or come back to it after a
+    time that was not logged. A jump to elsewhere is a reset of the estimate about the same origin.
     """
     seconds = np.diff(t_ns) * 1e-9
     way = 0.5 * (vel_n[1:, :2] + vel_n[:-1, :2]) * seconds[:, None]
@@ -94,7 +95,7 @@ def _is_origin(tables: Columns) -> Mask:
 
 
 def _logged(tables: Columns) -> list[LocalFrame]:
-    """Return the filter's origins that the log holds, in their order."""
+    """Return the filter's origins in the log, in their order."""
     if "ORGN" not in tables:
         return []
     return [

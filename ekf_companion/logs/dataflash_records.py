@@ -33,7 +33,7 @@ OFFSET = "@"
 KIND = "DataFlash .bin log of ArduPilot"
 
 AT_ONCE = 1 << 16
-"""Records that are searched at once."""
+"""Records that are searched at a time."""
 _FMT = 0x80
 _FMT_SIZE = 89
 _MAGIC = b"\xa3\x95"
@@ -69,7 +69,7 @@ _TYPES: dict[str, tuple[str, float]] = {
 _TEXT = "nNZ"
 """The characters of text."""
 _TEXTS = ("Name", "Message")
-"""The columns that are read as text. A damaged FMT may declare any column as anything."""
+"""Columns that are read as text. A damaged FMT may declare any column as anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +124,9 @@ class _Found(NamedTuple):
     counts: Stamps
     """Of all records, by type, shape (256,)."""
     damaged: int
-    """Runs of bytes that are no record."""
+    """Runs of bytes that are not records."""
     rest: int
-    """Bytes at the end that are no whole record."""
+    """Bytes at the end that are an incomplete record."""
 
 
 def _find_records(file: MappedFile, names: Wanted) -> _Found:
@@ -170,7 +170,7 @@ def _find_records(file: MappedFile, names: Wanted) -> _Found:
 
 
 def _kept(layout: _Format, names: Wanted) -> Collection[str]:
-    """Return the columns that are kept of a message: of one that is wanted no text for a number."""
+    """Return the columns that are kept of a message; no text where a number is wanted."""
     if names is None:
         return layout.names
     wanted = names[layout.name]

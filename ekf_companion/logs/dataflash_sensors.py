@@ -24,11 +24,11 @@ class Family(NamedTuple):
     """The messages of one kind of sensor."""
 
     messages: tuple[str, ...]
-    """Of the first, the second, the third sensor where they are told apart by name."""
+    """Messages of the first, second and third sensor, where they have names of their own."""
     patience_ns: int
-    """A shorter time without a good row is no reason for another sensor."""
+    """Time without a good row after which another sensor is taken."""
     lack: str
-    """What one that is left has not."""
+    """What a sensor that is left lacks, for the note."""
 
 
 FAMILIES = {
@@ -37,16 +37,16 @@ FAMILIES = {
     "MAG": Family(("MAG", "MAG2", "MAG3"), 3 * SECOND_NS, "has no good field there"),
     "BARO": Family(("BARO", "BAR2", "BAR3"), 3 * SECOND_NS, "has no good pressure there"),
 }
-"""By the message that all rows used are put in."""
+"""Families by the message that receives all rows in use."""
 FOLLOWERS = {"GPA": ("GPA", "GPA2")}
-"""Messages that belong to a receiver's."""
+"""Messages that accompany a receiver's."""
 ALIGNED = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "MAG": ("MagX", "MagY", "MagZ"),
     "BARO": ("Alt",),
 }
-"""Columns that go on from those of the sensor before: a bias, a field of the vehicle's own, and the
-zero of a height are others with each sensor."""
+"""Columns that are continued from the sensor before: each sensor has its own bias, magnetic field
+of the vehicle, and zero of height."""
 
 
 class Sensor(NamedTuple):
@@ -56,7 +56,7 @@ class Sensor(NamedTuple):
     message: str
     table: StoredRows
     is_named: bool
-    """Whether the message is its own."""
+    """Whether it has a message of its own."""
 
     def rows_of(self, rows: Column) -> Mask:
         """Return which rows of the message are its own."""
@@ -100,7 +100,7 @@ def good_of(name: str, sensors: Sequence[Sensor], family: Family) -> dict[int, G
 
 
 def _is_sample(rows: Column, before: Column | None) -> Mask:
-    """Return which inertial samples are known, healthy, and not those before them again."""
+    """Return which inertial samples are known, healthy and not repeated."""
     axes = ALIGNED["IMU"]
     values = np.stack([rows[axis] for axis in axes], axis=1)
     good = np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)

@@ -54,13 +54,13 @@ READ: dict[str, tuple[str, ...] | None] = {
     **dataflash_instances.ASKED,
     dataflash_old.TUNING: (*dataflash_old.STAMPS, *dataflash_old.HEIGHTS),
 }
-"""The columns that are read of each message; None: all. Of inertial samples there are millions."""
+"""Columns that are read of each message; None: all. There are millions of inertial samples."""
 
 
 def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
-    """Keep the usable messages of the sensors in use, on one clock run; note what is left out.
+    """Select the usable messages of the sensors in use, on one clock run; note what is left out.
 
-    Also return from when to when the log's sensors spoke, of which samples may be a part.
+    Also return first and last stamp of the log's sensors, of which the samples may be a part.
     """
     tables = dataflash_old.with_barometer(tables, notes)
     usable = {name: t for name, t in tables.items() if _is_usable(t, NEEDED[name]) and len(t)}
@@ -93,7 +93,7 @@ def _on_run(table: StoredRows, run: series.CommonRun) -> StoredRows:
 
 
 def is_stamped(table: StoredRows) -> bool:
-    """Return whether the rows carry a boot time."""
+    """Return whether the rows have a boot time."""
     return boot_ns(np.empty(0, dtype=table.dtype)) is not None
 
 

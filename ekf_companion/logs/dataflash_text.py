@@ -12,11 +12,11 @@ from ekf_companion.nav.arrays import Stamps
 
 
 def text_of(tables: Columns, message_ns: Stamps) -> Onboard:
-    """Return what the autopilot wrote of itself.
+    """Return firmware, parameters and messages of the autopilot.
 
     Args:
         tables: By the name of the message.
-        message_ns: Of the rows of MSG that have no stamp of their own.
+        message_ns: Stamps of MSG rows that have none of their own.
     """
     rows = tables.get("MSG")
     if rows is None or "Message" not in names_of(rows) or rows["Message"].dtype.kind != "S":
@@ -25,8 +25,8 @@ def text_of(tables: Columns, message_ns: Stamps) -> Onboard:
     stamps = (message_ns if own_ns is None else own_ns).tolist()
     stamps += [None] * (len(rows) - len(stamps))
     # ArduPilot's rows have no severity
-    told = [
+    lines = [
         Message(t_ns, "", clean(text))
         for t_ns, text in zip(stamps, rows["Message"][:MOST].tolist(), strict=False)
     ]
-    return onboard(told, parameters(tables), left_out=max(len(rows) - MOST, 0))
+    return onboard(lines, parameters(tables), left_out=max(len(rows) - MOST, 0))

@@ -47,7 +47,7 @@ def _position(tables: Columns, name: str) -> Position:
 
 
 def reference(tables: Columns, fixes: EventColumns | None, notes: list[str]) -> Trajectory | None:
-    """Return the autopilot's own estimate: that which it flew on, as far as the log holds it.
+    """Return the autopilot's own estimate: the one that it flew on, as far as it is logged.
 
     An origin that the log does not hold is fitted to the fixes.
     """
@@ -74,7 +74,7 @@ def _of_dcm(
     fixes: EventColumns | None,
     notes: list[str],
 ) -> Trajectory:
-    """Return the attitude of ATT, with the position that goes with it."""
+    """Return the attitude of ATT, with the position that belongs to it."""
     name, setting = "attitude and heading reference (ATT)", setting_of_dcm(tables)
     parts = _position(tables, "POS")
     if setting and looks_on is not None and (rows := rows_of(tables, looks_on[0])) is not None:
@@ -102,7 +102,7 @@ def _motion(
     notes: list[str],
     other: Position | None = None,
 ) -> tuple[Position, str]:
-    """Return position and velocity of a filter's rows, and where the position is from.
+    """Return position and velocity of a filter's rows, and the message of the position.
 
     ``other`` is the position of AHR2, where that is the filter's.
     """

@@ -111,7 +111,7 @@ def _euler_unit(table: Table) -> str | None:
 
 
 def _simulated(table: Table) -> dict[str, npt.NDArray[Any]] | None:
-    """Return a truth or an estimate over the flat Earth of a simulation, by our column names.
+    """Return a truth or an estimate over the flat Earth of a simulation, with our column names.
 
     Its columns are ``time_s, north_m, east_m, h_msl_m, vn_mps, ve_mps, vd_mps`` and
     ``roll, pitch, yaw``, all three with ``_deg`` or with ``_rad``; None if they are not there.
@@ -144,7 +144,7 @@ def _timed(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt
 
 
 OWN = "an estimate that convert wrote"
-"""What is said of a file that :func:`is_estimate` recognises."""
+"""Note on a file that :func:`is_estimate` recognises."""
 
 
 def is_estimate(path: Path) -> bool:

@@ -1,7 +1,7 @@
 """Writing of estimates as a GPX 1.1 track: heights above mean sea level, a segment per gap.
 
-Where the autopilot's clock counts from its boot, and the log does not say when that was, so do the
-times: from 1970.
+Times count from 1970 where the autopilot's clock counts from its boot and the log does not hold the
+time of the boot.
 
 Source: GPX 1.1 schema documentation, topografix.com/gpx/1/1.
 """
@@ -19,7 +19,7 @@ _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <trk><name>{}</name><trkseg>
 """
 GAP_NS = 5_000_000_000
-"""Without an estimate for so long, a new segment begins."""
+"""Time without an estimate after which a new segment begins."""
 
 
 class Writer(EstimateWriter):

@@ -1,8 +1,8 @@
-"""Which of several sensors of a kind is used, from when to when.
+"""Which of several sensors of a kind is used, over time.
 
-The one that the autopilot uses, where the log says which; where it does not, or where that one has
-nothing good, the one in use until it has nothing good and another has. There is no way back but the
-same, so that no sensor is returned to for its number alone.
+The one that the autopilot uses, where the log names it. Otherwise, or where that one has no good
+rows, the present one until it has no good rows and another has. It changes back only for the same
+reason, never because of the sensor's number.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from ekf_companion.logs.recording import counted
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 
 Key = int
-"""Which sensor."""
+"""Identifies a sensor."""
 Wanted = Sequence[tuple[int, Key]]
-"""From when on, ns, the autopilot uses which; ascending."""
+"""Start, ns, and sensor of each time in which the autopilot uses it; ascending."""
 OVERLAP_NS = 30_000_000_000
-"""Time over which two sensors are compared before a change from one to the other: vibration and
-noise are averaged, and what a sensor drifts in that is below its noise."""
+"""Time over which two sensors are compared before a change from one to the other: long enough to
+average vibration and noise, short enough that the drift is below the noise."""
 ENOUGH = 20
-"""Rows side by side from which on the difference counts."""
+"""Fewest rows side by side by which the difference is measured."""
 MOST = 3
-"""Changes that are named one by one."""
+"""Changes that are reported one by one."""
 
 
 class Good:
-    """The stretches of time in which a sensor measures, as its rows are read part by part."""
+    """Times in which a sensor measures, collected as its rows are read part by part."""
 
     def __init__(self, patience_ns: int) -> None:
-        """Bridge gaps so long, or of three samples of a slow sensor."""
+        """Bridge gaps of this length, or of three samples of a slow sensor."""
         self.spans: list[tuple[int, int]] = []
         """First and last good stamp of each, ns, ascending once :meth:`finish` was called."""
         self.patience_ns = patience_ns
@@ -64,7 +64,7 @@ class Good:
                 self.spans.append((low, high))
 
     def finish(self) -> None:
-        """Sort the stretches; those that overlap, of several boots, become one."""
+        """Sort the stretches; overlapping ones, of several boots, are joined."""
         spans: list[tuple[int, int]] = []
         for low, high in sorted(self.spans):
             if spans and low - spans[-1][1] <= self.patience_ns:
@@ -80,11 +80,11 @@ class Stretch(NamedTuple):
     from_ns: int
     key: Key
     is_wanted: bool
-    """Whether it is the one that the autopilot uses, as the log says."""
+    """Whether the log names it as the one that the autopilot uses."""
 
 
 def choose(good: Mapping[Key, Good], wanted: Wanted = ()) -> list[Stretch]:
-    """Return which sensor is used from when on; of those that are good alike, the first given."""
+    """Return the sensor in use over time; of equally good ones, the first given."""
     spans = {key: _lasting(key, good) for key in good}
     first = min((some[0][0] for some in spans.values() if some), default=0)
     last = max((some[-1][1] for some in spans.values() if some), default=0)
@@ -150,19 +150,19 @@ def place_of(used: Sequence[Stretch], t_ns: Stamps) -> Indices:
 def steps(
     used: Sequence[Stretch], rows_of: Callable[[Key, int, int], tuple[Stamps, Array]]
 ) -> Array:
-    """Return what to add to the values of each stretch so that they go on from those before.
+    """Return what to add to the values of each stretch so that they continue those before.
 
-    It is the median difference of both sensors in the ``OVERLAP_NS`` before the change: what one
-    has learnt of the first then holds of the next, too.
+    It is the median difference of both sensors in the ``OVERLAP_NS`` before the change: a bias
+    learnt of the first sensor then holds for the next too.
 
     Args:
         used: The stretches.
-        rows_of: Returns the good rows of a sensor from a time to before another: their stamps,
-            ascending, and their values, shape (n, k).
+        rows_of: Returns the good rows of a sensor between two times: their stamps, ascending,
+            and their values, shape (n, k).
 
     Returns:
-        Shape (stretches, k). A sensor that is used again has what was added to it before; one that
-        has no row beside the one before it goes on as it is.
+        Shape (stretches, k). A sensor that is used again keeps its offset; one without rows
+        beside those of the sensor before it keeps its values.
     """
     added: dict[Key, Array] = {}
     found: list[Array] = []
@@ -188,14 +188,14 @@ def steps(
 def describe(
     used: Sequence[Stretch], kind: str, names: Mapping[Key, str], lack: str, begun_ns: int
 ) -> list[str]:
-    """Return a note for each change of the sensor, of many for the first ones.
+    """Return a note for each change of the sensor; of many, for the first ones.
 
     Args:
         used: At least two.
         kind: Of the sensors.
         names: Of each.
-        lack: What one that is left has not, as ``has no fix``.
-        begun_ns: When the log began.
+        lack: What a sensor that is left lacks, as ``has no fix``.
+        begun_ns: First stamp of the log.
     """
     notes = []
     for before, one in itertools.pairwise(used[: MOST + 1]):

@@ -1,4 +1,4 @@
-"""JSON objects from rows of numbers, compiled: what is between the numbers is the same in all."""
+"""JSON objects from rows of numbers, compiled: the text between the numbers is constant."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ekf_companion.nav.arrays import Stamps
 COMMA = cython.declare(cython.int, 0x2C)
 CLOSED = cython.declare(cython.int, 0x5D)
 MESSAGE = cython.declare(cython.int, 0x05)
-"""The kind of an MCAP record."""
+"""Opcode of an MCAP message record."""
 HEAD = 31
 """Bytes of an MCAP message before its content."""
 
@@ -24,16 +24,16 @@ def write_messages(
     out: bytearray,
     behind: Stamps,
 ) -> None:
-    """Write an MCAP message for each row: before each number what is before it, then the row's end.
+    """Write an MCAP message for each row: text and numbers in turn, then the row's end.
 
     Args:
         numbers: JSON of the rows, ``[[1.5,null],[2.5,3.5]]``.
         names: The text before each number of a row: ``[b'{"x":', b',"y":']``.
         ends: The text behind the numbers, one for each row: ``[b'}', b'}']``.
         channel: Its number, at most 255.
-        stamp_ns: When each is logged and published, shape (n,).
-        out: Receives the messages, with room for the bytes of all that is given, and the heads.
-        behind: Receives where each ends there, shape (n,).
+        stamp_ns: Time of logging and publishing of each, shape (n,).
+        out: Receives the messages, with room for the bytes of all arguments, and the heads.
+        behind: Receives the end of each message in ``out``, shape (n,).
     """
     text, line = cython.cast(cython.p_char, numbers), cython.cast(cython.p_char, out)
     place = 1

@@ -1,7 +1,7 @@
 """Writing of estimates as KML 2.2: a line per stretch of one status, with times, in its colour.
 
-Heights are absolute, above mean sea level. Where the autopilot's clock counts from its boot, and
-the log does not say when that was, so do the times: from 1970.
+Heights are absolute, above mean sea level. Times count from 1970 where the autopilot's clock counts
+from its boot and the log does not hold the time of the boot.
 
 Source: OGC 07-147r2 (KML 2.2); Google's extension gx:Track.
 """

@@ -1,4 +1,4 @@
-"""Times as the formats of maps write them."""
+"""Times in the notation of map formats."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ekf_companion.nav.arrays import Stamps
 
 
 class Label(NamedTuple):
-    """What a track on a map is called, and how its times become UTC."""
+    """Name of a track on a map, and how its times become UTC."""
 
     name: str = "estimate"
-    """The log's."""
+    """The log's name."""
     zero_ns: int | None = None
     """UTC at which the log's clock was zero, ns since 1970; None: not known."""
 
@@ -27,15 +27,15 @@ class Label(NamedTuple):
 
 
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What no XML may hold, XML 1.0, 2.2."""
+"""Characters that XML may not hold, XML 1.0, 2.2."""
 UNNAMED = Label()
 
 
 def utc(stamp_ns: Stamps, zero_ns: int | None = None) -> list[str]:
     """Return stamps as ``2026-11-22T19:00:00.123456Z``.
 
-    A stamp that counts from the autopilot's boot becomes a time in 1970, unless it is known when
-    that was.
+    A stamp that counts from the autopilot's boot becomes a time in 1970 if the time of the boot is
+    not known.
     """
     if zero_ns is not None:
         is_set = stamp_ns > CLOCK_SET_S * 1_000_000_000  # UTC already

@@ -1,7 +1,7 @@
-"""An MCAP file of messages that come many at once: compressed chunks, and the indexes of them.
+"""MCAP files from many messages at a time: compressed chunks, and their indexes.
 
-It has the same bytes as that of the library's own writer, which takes one message at a time, and
-longer for it than the estimate takes.
+The bytes are those of the library's own writer, which takes one message at a time and needs longer
+for it than the estimator for the estimate.
 
 Source: MCAP specification, mcap.dev.
 """
@@ -40,7 +40,7 @@ _INDEX = struct.Struct("<BQHI")
 
 
 class McapFile:
-    """Writes messages in chunks, and behind them what a reader needs to find them."""
+    """Writes messages in chunks, and the indexes that a reader needs after them."""
 
     def __init__(self, file: BinaryIO, library: str) -> None:
         """Write the header; ``library`` is the program that writes."""
@@ -71,9 +71,9 @@ class McapFile:
 
         Args:
             channel: Its number.
-            stamp_ns: When each was logged and published, shape (n,).
-            records: They as records of the file, one behind the other.
-            ends: Where each ends there, shape (n,).
+            stamp_ns: Time of logging and publishing of each, shape (n,).
+            records: The messages as records of the file, concatenated.
+            ends: End of each in ``records``, shape (n,).
         """
         first = begin = 0
         self._counts[channel] += len(ends)
@@ -91,7 +91,7 @@ class McapFile:
                 self._finish_chunk()
 
     def finish(self) -> None:
-        """Write what comes behind the last message."""
+        """Write the indexes and the footer."""
         self._finish_chunk()
         self._write(_bytes_of(DataEnd(0)))
         start = self._place
@@ -132,7 +132,7 @@ class McapFile:
         """Stamp and place of each message, by its channel."""
 
     def _finish_chunk(self) -> None:
-        """Write the chunk, and where in it the messages are."""
+        """Write the chunk and its index."""
         if not self._index:
             return
         indexes = {channel: np.concatenate(parts) for channel, parts in self._index.items()}

@@ -33,7 +33,7 @@ from ekf_companion.version import __version__
 POSE_RATE = 25.0
 """Poses and transforms per second at most, Hz: more than a screen shows."""
 AT_ONCE = 1024
-"""Messages that are made at once: their text stays in the processor's cache."""
+"""Messages made at a time: their text stays in the processor's cache."""
 LOCATION_RATE = 5.0
 """Fixes on the map per second at most, Hz."""
 _INFO, _WARNING = 2, 3
@@ -97,12 +97,12 @@ _SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def _around(template: str) -> list[bytes]:
-    """Return what is before each number of an object, a ``#`` in the template, and behind all."""
+    """Return the texts around the numbers of an object, each a ``#`` in the template."""
     return [part.encode() for part in template.split("#")]
 
 
 _ENDS = ("status", "reset_count", "reasons")
-"""Columns at the end of a row that are no measured numbers."""
+"""Columns at the end of a row that are not measured."""
 _ESTIMATE = [b'%s"%s":' % (b"," if n else b"{", c.encode()) for n, c in enumerate(COLUMNS[1:-3])]
 _POSE = _around(
     '{"frame_id":"map","pose":{"position":{"x":#,"y":#,"z":#},"orientation":{"w":#,"x":#,"y":#,"z":#}}'
@@ -150,7 +150,7 @@ class Writer(EstimateWriter):
         self._mcap.finish()
 
     def _add_stamped(self, topic: str, table: Table, numbers: Array, around: list[bytes]) -> None:
-        """Add an object for each row: its numbers, what is around them, and the time."""
+        """Add an object for each row: its numbers, the text around them, and the time."""
         *names, behind = around
         ends = [
             b'%s,"timestamp":{"sec":%d,"nsec":%d}}' % (behind, *divmod(stamp_ns, 1_000_000_000))

@@ -1,6 +1,6 @@
 """What an autopilot writes into its log beside measurements: firmware, parameters, messages.
 
-All of it is text of a stranger: nothing here interprets it, and whoever shows it escapes it.
+All of it is untrusted text: nothing here interprets it, and whatever shows it must escape it.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 MOST = 1000
-"""Messages that are kept: a damaged file holds any number."""
+"""Messages that are kept: a damaged file may hold any number."""
 MOST_PARAMETERS = 10_000
-"""Likewise, of another name each: the largest autopilots have 2000."""
+"""Parameters that are kept: the largest autopilots have 2000."""
 LONGEST = 200
 """Characters of a message or a version that are kept; a parameter's name has 16."""
 FIRMWARE = re.compile(r"(?:APM:|Ardu|AntennaTracker|Blimp)\w* ?\w* V\d")
@@ -29,7 +29,7 @@ class Message(NamedTuple):
     """One line of the autopilot's own log."""
 
     t_ns: int | None
-    """When it was written, on the clock of the log's other stamps, ns; None: not known."""
+    """Time at which it was written, on the clock of the log's other stamps, ns; None: not known."""
     level: str
     """One of ``LEVELS``; empty: the log does not say."""
     text: str
@@ -37,7 +37,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Onboard:
-    """What is kept of it."""
+    """Firmware, parameters and messages of an autopilot."""
 
     firmware: str = ""
     """Name and version; empty: the log does not say."""
@@ -50,7 +50,7 @@ class Onboard:
 
 
 def clean(text: bytes | str) -> str:
-    """Return a text on one line, without what no reader sees, cut to ``LONGEST``."""
+    """Return a text on one line, without invisible characters, cut to ``LONGEST``."""
     if isinstance(text, bytes):
         # Wherever a fixed field ends, a character of several bytes may be cut
         text = text.partition(b"\0")[0].decode("utf-8", "replace")
@@ -59,7 +59,7 @@ def clean(text: bytes | str) -> str:
 
 
 def level_of(severity: int) -> str:
-    """Return the name of a severity of syslog; empty: there is no such one."""
+    """Return the name of a syslog severity; empty: there is none."""
     return LEVELS[severity] if 0 <= severity < len(LEVELS) else ""
 
 
@@ -69,16 +69,16 @@ def onboard(
     firmware: str = "",
     left_out: int = 0,
 ) -> Onboard:
-    """Return what is kept; a message without a letter says nothing.
+    """Return what is kept; messages without a letter are dropped.
 
-    Without a ``firmware`` it is the one that a message names.
+    Without a ``firmware`` the one that a message names is taken.
     """
-    told = [one for one in messages if one.text]
-    firmware = firmware or next((one.text for one in told if FIRMWARE.match(one.text)), "")
+    kept = [one for one in messages if one.text]
+    firmware = firmware or next((one.text for one in kept if FIRMWARE.match(one.text)), "")
     named = {name: value for name, value in parameters.items() if name}
     return Onboard(
         firmware=clean(firmware),
         parameters=dict(list(named.items())[:MOST_PARAMETERS]),
-        messages=tuple(told[:MOST]),
-        left_out=left_out + max(len(told) - MOST, 0),
+        messages=tuple(kept[:MOST]),
+        left_out=left_out + max(len(kept) - MOST, 0),
     )

@@ -36,13 +36,13 @@ EPOCH = (1e9, 1e10)
 LONGEST = 0.1
 """Largest usual step of the host's times that can be the sensor's, s."""
 HOLE = 0.1
-"""Jump of the host's time at which samples are missing, s: it jitters by less."""
+"""Jump of the host's time, s, that means missing samples: it jitters by less."""
 MANY = 250
-"""Samples on either side that distinguish such a jump from a host that was late once."""
+"""Samples on either side that distinguish such a jump from a single late time."""
 EVEN = 0.05
-"""Largest share of a step by which the counter misses a whole number of them."""
+"""Largest fraction of a step by which the counter may miss a whole number of steps."""
 UNEVEN = 0.02
-"""Largest share of steps that may do so."""
+"""Largest share of steps that may miss it by more."""
 FEW = 50
 """Samples on either side by which the jump is measured."""
 

@@ -1,8 +1,8 @@
 """UTC of a log by its receiver: the median over the rows with a 3-D fix.
 
-Before a fix a receiver says a date of its firmware, or of its battery-backed clock, and the first
-seconds after it may be off by the leap seconds. A receiver whose count of GPS weeks has begun anew
-says a date 1024 weeks early, which is before the firmware that wrote the log.
+Before a fix a receiver sends the date of its firmware, or of its battery-backed clock, and for some
+seconds after the first fix it may be off by the leap seconds. A receiver whose week number has
+rolled over sends a date 1024 weeks early, which is before the firmware that wrote the log.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from ekf_companion.logs.recording import CLOCK_SET_S
 from ekf_companion.nav.arrays import Mask, Stamps
 
 ROLLOVER_NS = 1024 * 604_800 * 1_000_000_000
-"""The week in GPS time has ten bits."""
+"""Period of the ten-bit week number of GPS."""
 
 
 def utc_zero_ns(
     utc_ns: Stamps, t_ns: Stamps, is_fix: Mask, earliest: str, notes: list[str]
 ) -> int | None:
-    """Return the UTC at which a log's clock was zero, ns since 1970; None: it is not known.
+    """Return the UTC at which a log's clock was zero, ns since 1970; None: not known.
 
     Args:
-        utc_ns: As the receiver has it, shape (n,); 0: it does not say.
+        utc_ns: UTC by the receiver, shape (n,); 0: not sent.
         t_ns: Stamps of the rows.
         is_fix: Whether a row holds a 3-D fix.
-        earliest: The date before which the log cannot have been written, ``2016-05``.
-        notes: A sentence is added where the receiver's date cannot be right.
+        earliest: Earliest date at which the log can have been written, ``2016-05``.
+        notes: Receives a sentence if the receiver's date cannot be right.
     """
     known = is_fix & (utc_ns > CLOCK_SET_S * 1_000_000_000)
     if not known.any():

@@ -17,7 +17,7 @@ from ekf_companion.nav.state import Trajectory
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Counted:
-    """The parts of a recording that its authors count in the errors."""
+    """The parts of a recording that its authors include in the errors."""
 
     t_ns: Stamps
     """Ascending, shape (n,)."""
@@ -31,31 +31,31 @@ class Counted:
 
 
 CLOCK_SET_S = 946_684_800
-"""s since 1970: a clock that says an earlier time than the year 2000 was not set."""
+"""s since 1970: a clock that shows a time before the year 2000 was not set."""
 LATEST_S = 4_102_444_800
-"""s since 1970: a clock that says a later time than the year 2100 is damaged."""
+"""s since 1970: a clock that shows a time after the year 2100 is damaged."""
 
 
 class Damage(NamedTuple):
-    """What of a file could not be read."""
+    """The part of a file that could not be read."""
 
     words: str = ""
-    """In a few words, for the verdict; empty: nothing."""
+    """A short description for the verdict; empty: no damage."""
     share: float = 0.0
-    """Of the whole file, its records or its time; 1: not known."""
+    """Share of the file, of its records or of its time; 1: not known."""
 
 
 UNDAMAGED = Damage()
 
 
 OFTEN = 0.5
-"""Share of rows beyond which it is most of them."""
+"""Share of rows beyond which a note speaks of most rows."""
 
 
 def misfits(lost: int, total: int, words: str) -> list[str]:
-    """Return a note on rows that were dropped, in words, for their stamps; none if there are none.
+    """Return a note on rows that were dropped because of their stamps; none if there are none.
 
-    Of most of all rows it says what that comes from.
+    If they are most of all rows, it names the likely cause.
     """
     if not lost:
         return []
@@ -67,16 +67,16 @@ def misfits(lost: int, total: int, words: str) -> list[str]:
 
 
 def damaged_places(count: int) -> str:
-    """Return what a file has so many of."""
+    """Return a note on the number of damaged places."""
     return "a damaged place" if count == 1 else f"{count} damaged places"
 
 
 CUT = "the recording was cut off at its end"
-"""Of a file that ends within a message, for the verdict."""
+"""Description of a file that ends within a message, for the verdict."""
 
 
 def cut_short(path: Path, size: int) -> LogError:
-    """Return the error of a file that ends before its first sample, after so many bytes."""
+    """Return the error for a file that ends before its first sample, given its size in bytes."""
     return LogError(
         f"{path}: ends after {size} bytes, before any sample: the recording was cut off there, or "
         "the file was not copied whole; copy it again"
@@ -89,7 +89,7 @@ def counted(count: int, what: str) -> str:
 
 
 def cut_off(rest: int, unit: str) -> str:
-    """Return a note on so many bytes at the end of a file that are no whole ``unit``."""
+    """Return a note on bytes at the end of a file that are an incomplete ``unit``."""
     last = "the last byte is" if rest == 1 else f"the last {rest} bytes are"
     return f"{last} no whole {unit}: the recording was cut off there"
 
@@ -101,30 +101,30 @@ class Recording:
     family: str
     """``px4``, ``ardupilot`` or ``unknown``: the autopilot whose delays apply."""
     events: Events
-    """Everything that the estimator takes, in the order of arrival, stamps as the log has them."""
+    """All input of the estimator in the order of arrival, with the log's stamps."""
     reference: Trajectory | None = None
     """The autopilot's own estimate."""
     truth: Trajectory | None = None
-    """From a simulator or an optical system, where the log holds one."""
+    """Truth of a simulator or an optical system, if the log holds one."""
     counted: Counted | None = None
-    """The times that count in errors; None: all."""
+    """Times that are included in the errors; None: all."""
     gnss_delay: float | None = None
     """GNSS delay that the log declares (a parameter of the autopilot), s."""
     notes: tuple[str, ...] = field(default=())
     """What the user should know about the file, one sentence each."""
     damage: Damage = UNDAMAGED
     lost_share: float = 0.0
-    """Of its rows: left out, for they have no time, or one that does not fit the others."""
+    """Share of rows left out, since they have no time, or one that does not fit the others."""
     extent_ns: tuple[int, int] = (0, 0)
-    """First and last stamp of the log's sensors, where its events are a part of them; or 0, 0."""
+    """First and last stamp of the log's sensors, if its events are a part of them; or 0, 0."""
     began_s: float | None = None
-    """When the recording began, s since 1970, UTC; None: the log does not say."""
+    """Time at which the recording began, s since 1970, UTC; None: not known."""
     utc_zero_ns: int | None = None
-    """UTC at which the autopilot's clock was zero, ns since 1970; None: the log does not say."""
+    """UTC at which the autopilot's clock was zero, ns since 1970; None: not known."""
     onboard: Onboard = field(default_factory=Onboard)
-    """What the autopilot wrote of itself."""
+    """Firmware, parameters and messages of the autopilot."""
     zero_height: float = 0.0
-    """Altitude at which the heights of the file are zero, where its place is made up, m."""
+    """Altitude at which the heights of the file are zero, m, where its position is invented."""
 
 
 def longest_clock_run(events: Events) -> tuple[Events, tuple[str, ...]]:

@@ -17,33 +17,34 @@ Ranges = list[tuple[int, int]]
 """First row of each stretch, and the row behind it."""
 
 BACK_NS = 2_000_000_000
-"""Step back beyond which a clock has restarted, or a stamp is damaged."""
+"""Step back of the stamps beyond which the clock has restarted, or a stamp is damaged."""
 GAP_NS = 60_000_000_000
-"""Step forward beyond which the same holds."""
+"""Step forward beyond which the same is true."""
 FEW = 0.01
 """Share of all rows below which a stretch between two jumps counts as damage."""
 MOST_STRETCHES = 100_000
-"""Beyond, the stamps are not those of a clock, and each jump of it begins another."""
+"""Stretches beyond which the stamps are not a clock's, since each jump begins another."""
 MOST_APART = 8
-"""Runs of rows with damaged stamps that may follow each other before the clock goes on."""
+"""Runs of rows with damaged stamps that may follow each other before the clock continues."""
 MARGIN_NS = 2_000_000_000
-"""How far outside the inertial samples' time other rows still belong to the same clock run."""
+"""Margin around the inertial samples' time within which other rows belong to the same clock run."""
 LATEST_US = 2**62 // 1000
 """us; a later stamp is damaged."""
 FIX_3D = 3
-"""GNSS fix type from which on there is a position, in all formats."""
+"""Lowest GNSS fix type with a position, in all formats."""
 GNSS_HEADING_STD = float(np.deg2rad(5.0))
 """rad, where the receiver gives a heading and no accuracy of it."""
 HEADING_STD = float(np.deg2rad(5.0))
-"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
+"""rad, of the autopilot's own heading: that of a calibrated compass in flight."""
 HEADING_RATE = 10.0
-"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
+"""Hz at most, of the autopilot's own heading: its errors are correlated, so more rows add
+nothing."""
 
 
 def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
-    """Convert microseconds to ns; what would overflow is damage, and stays huge.
+    """Convert microseconds to ns; values that would overflow are damage, and stay huge.
 
-    Damage may also declare them of another type: what is below zero, or no number, is 0.
+    Damaged stamps of other types: negative and non-finite ones become 0.
     """
     if stamps_us.dtype.kind != "u":
         stamps_us = np.where(stamps_us > 0, stamps_us, 0)
@@ -51,12 +52,12 @@ def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
 
 
 def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
-    """Find the one run of the clock that holds most rows.
+    """Find the run of the clock that holds most rows.
 
     Rows are split into stretches where the clock jumps, back by more than ``BACK_NS`` or forward
-    by more than ``GAP_NS``. A stretch that goes on where an earlier one ended, with a few rows of
-    other stamps between, belongs to it: a damaged stamp costs its own row. Stretches of few rows
-    are dropped as damage; of all chains of the others in which time ascends, the one with most
+    by more than ``GAP_NS``. A stretch that continues an earlier one, with a few rows of other
+    stamps in between, belongs to it: a damaged stamp costs its own row only. Stretches of few rows
+    are dropped as damage. Of all chains of the others in which time ascends, the one with most
     rows is kept.
 
     Returns:
@@ -67,7 +68,7 @@ def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
 
 
 def in_ranges(ranges: Ranges, first: int, count: int) -> Mask:
-    """Return which of some rows, from one on, are in ranges."""
+    """Return which of consecutive rows, starting at a number, are in ranges."""
     mask = np.zeros(count, dtype=bool)
     for begin, end in ranges:
         mask[max(begin - first, 0) : max(end - first, 0)] = True
@@ -75,7 +76,7 @@ def in_ranges(ranges: Ranges, first: int, count: int) -> Mask:
 
 
 def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
-    """Find the same in stamps that come part by part; return ranges of rows, and of time."""
+    """Find the clock run in stamps that come part by part; return ranges of rows, and of time."""
     first, low, high, rows = _stretches(parts)
     if not rows:
         return [], []
@@ -100,7 +101,7 @@ def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
 
 
 def _stretches(parts: Iterable[Stamps]) -> tuple[Indices, Stamps, Stamps, int]:
-    """Return of each stretch without a jump its first row, first and last stamp; and the rows."""
+    """Return for each stretch without a jump its first row, first and last stamp; and the rows."""
     firsts: list[Stamps] = []
     lows: list[Stamps] = []
     highs: list[Stamps] = []
@@ -126,10 +127,10 @@ def _stretches(parts: Iterable[Stamps]) -> tuple[Indices, Stamps, Stamps, int]:
 
 
 def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
-    """Return of each stretch the number of the first one that it goes on from.
+    """Return for each stretch the number of the first one that it continues.
 
-    It goes on from the one before where it follows within ``GAP_NS``, or from an earlier one that
-    only a few rows part from it, whose stamps are damaged: a single row of stamp 0.
+    It continues the one before if it follows within ``GAP_NS``, or an earlier one that only a few
+    rows with damaged stamps separate from it, such as a single row of stamp 0.
     """
     if len(low) > MOST_STRETCHES:
         step = low[1:] - high[:-1]
@@ -153,7 +154,7 @@ def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
 
 
 def _joined(ranges: Ranges) -> Ranges:
-    """Return ranges, ascending, with those that touch made one."""
+    """Return ascending ranges with adjacent ones joined."""
     found: Ranges = []
     for begin, end in ranges:
         if found and found[-1][1] == begin:
@@ -190,7 +191,7 @@ class CommonRun(NamedTuple):
     """Of the table's own run."""
 
     def holds(self, first: int, t_ns: Stamps) -> Mask:
-        """Return which of some rows, from one on, by their stamps."""
+        """Return which of consecutive rows, from ``first`` on, are on the run, by their stamps."""
         mask = in_ranges(self.ranges, first, len(t_ns))
         if self.spans:
             near = [(t_ns >= a - MARGIN_NS) & (t_ns <= b + MARGIN_NS) for a, b in self.spans]
@@ -225,8 +226,8 @@ Extent = tuple[int, int]
 def extent(runs: Mapping[str, CommonRun], names: Iterable[str], main: str) -> Extent:
     """Return the first and last stamp of tables on a clock with the table ``main``, ns.
 
-    A table whose own run touches the time of ``main`` tells when the log began and ended, though
-    only its rows within that time are used.
+    A table whose own run touches the time of ``main`` shows when the log began and ended, even
+    though only its rows within that time are used.
     """
     spans = runs[main].own if main in runs else []
     near = [
@@ -240,16 +241,16 @@ def extent(runs: Mapping[str, CommonRun], names: Iterable[str], main: str) -> Ex
 
 
 def touches(spans: Spans, others: Spans) -> bool:
-    """Return whether stretches of time have any time in common."""
+    """Return whether two sets of stretches overlap in time."""
     return any(a <= d and c <= b for a, b in spans for c, d in others)
 
 
 def left_out(runs: Mapping[str, CommonRun], rows: Mapping[str, tuple[int, int]]) -> list[str]:
-    """Return notes on rows that are not used for their stamps.
+    """Return notes on rows that are not used because of their stamps.
 
     Args:
         runs: Of the tables.
-        rows: Of each table by name: how many there are, and how many are used.
+        rows: Of each table by name: the number of rows, and of those in use.
     """
     whole, used = (sum(of[index] for of in rows.values()) for index in (0, 1))
     outside = sum(
@@ -272,7 +273,7 @@ def ascending(t_ns: Stamps) -> Mask:
 
 
 def thinned(t_ns: Stamps, rate: float) -> slice:
-    """Return the stride that thins a steady series to a rate, Hz, exceeded by 10 % at most."""
+    """Return the stride that thins a steady series to a rate, Hz; it may be exceeded by 10 %."""
     if len(t_ns) < 3:
         return slice(None)
     period_ns = max(float(np.median(np.diff(t_ns))), 1.0)
@@ -302,7 +303,7 @@ def nearest(t_ns: Stamps, others_ns: Stamps) -> Stamps:
 
 
 def accuracy(value: npt.ArrayLike, otherwise: npt.ArrayLike) -> Array:
-    """Return accuracies where they are known (finite, positive), others elsewhere."""
+    """Return accuracies where they are known (finite, positive), defaults elsewhere."""
     value = np.asarray(value, dtype=float)
     return np.where(np.isfinite(value) & (value > 0.0), value, otherwise)
 

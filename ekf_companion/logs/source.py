@@ -1,4 +1,4 @@
-"""Reading of a recorded file's bytes, packed by gzip or Zstandard or not."""
+"""Reading of a recorded file's bytes, unpacked from gzip or Zstandard where necessary."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from ekf_companion.errors import LogError, part_of
 
 PACKED = (".gz", ".zst")
 LARGEST = 1 << 33
-"""Bytes that a packed file, or what comes through a pipe, may hold."""
+"""Largest content of a packed file or a pipe, bytes."""
 EXPANSION = 200
-"""Largest share of a packed file's own bytes that it may hold: rows of a vehicle that stands still
-pack to a fiftieth, what is made to fill a memory to a thousandth or less."""
+"""Largest size of the content by that of the packed file: rows of a vehicle at rest pack to a
+fiftieth, a file made to fill the memory to a thousandth or less."""
 LARGE = 1 << 26
-"""Bytes from which on a file is mapped, and what is unpacked lies in a temporary file; a packed
-file may hold as many, however small it is."""
+"""Size, bytes, from which a file is mapped, and unpacked content is kept in a temporary file; a
+small packed file may hold as much in any case."""
 BLOCK = 1 << 20
 """Bytes that are read or unpacked at a time."""
 PIECE = 1 << 12
-"""Bytes of a gzip file that are unpacked at once: so much goes with a damaged one."""
+"""Bytes of a gzip file that are unpacked at a time: as much is lost where it is damaged."""
 HEADER = 18
-"""Largest size of what is before the blocks of a Zstandard file."""
+"""Largest size of the header of a Zstandard file."""
 WINDOW = 1 << 27
-"""Largest memory that a Zstandard file may ask for, as its own program allows it."""
+"""Largest memory that a Zstandard file may ask for, the limit of its own program."""
 
 
 def suffix_of(path: Path) -> str:
-    """Return the suffix that tells the format, in lower case: ``.csv`` of ``flight.CSV.gz``."""
+    """Return the suffix that names the format, in lower case: ``.csv`` of ``flight.CSV.gz``."""
     return unpacked_name(path).suffix.lower()
 
 
@@ -44,7 +44,7 @@ def unpacked_name(path: Path) -> Path:
 
 
 def real_path(path: Path) -> Path:
-    """Return where a name leads; of links in a circle, which lead nowhere, the name itself."""
+    """Return the target of a name; of a circle of links, which has none, the name itself."""
     return Path(os.path.realpath(path))
 
 
@@ -69,9 +69,9 @@ def head_of(path: Path, size: int) -> bytes:
 
 
 class MappedFile:
-    """All bytes of a file: a large one is mapped, and is in memory as far as it is being read.
+    """All bytes of a file; a large one is mapped, and only in memory where it is being read.
 
-    Who cuts a mapped file short while it is read ends the process, as with any mapped file.
+    Truncating a mapped file while it is read ends the process, as with any mapped file.
     """
 
     def __init__(self, path: Path, kind: str) -> None:
@@ -100,16 +100,16 @@ class MappedFile:
         """The bytes."""
 
     def release(self) -> None:
-        """Keep nothing of a mapped file in memory until it is read again."""
+        """Release the memory of a mapped file until it is read again."""
         if self._map is not None:
             self._map.madvise(mmap.MADV_DONTNEED)
 
 
 class Source:
-    """The bytes of a file, read piece by piece; those of a packed one, or a pipe, are kept."""
+    """The bytes of a file, read piece by piece; those of a packed file or a pipe are kept."""
 
     def __init__(self, path: Path, kind: str) -> None:
-        """Look at a file; its kind is for messages.
+        """Open a file; its kind is for messages.
 
         Raises:
             LogError: As :class:`MappedFile`.
@@ -130,7 +130,7 @@ class Source:
         return self._size
 
     def read(self, start: int, end: int) -> bytes:
-        """Return the bytes from ``start`` to before ``end``, or to the end that was there at first.
+        """Return the bytes from ``start`` to before ``end``, or to the end at the time of opening.
 
         Raises:
             LogError: The file was cut short since, or cannot be read any more.
@@ -163,13 +163,13 @@ def _opened(path: Path, kind: str) -> Iterator[BinaryIO]:
 
 
 def _most(path: Path, file: BinaryIO) -> int:
-    """Return how many bytes a packed file may hold."""
+    """Return the largest content of a packed file, bytes."""
     packed = os.fstat(file.fileno()).st_size if path.is_file() else LARGEST
     return min(max(EXPANSION * packed, LARGE), LARGEST)
 
 
 def _gather(path: Path, blocks: Iterator[bytes], most: int) -> bytes | mmap.mmap:
-    """Return the bytes of all blocks: many lie in a temporary file, which goes with them."""
+    """Return the bytes of all blocks; large content lies in a temporary file that they own."""
     size = 0
     with tempfile.SpooledTemporaryFile(max_size=LARGE) as spool:
         try:
@@ -200,7 +200,7 @@ def _blocks(file: BinaryIO, size: int = BLOCK) -> Iterator[bytes]:
 
 
 def _unpack(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
-    """Yield what a packed file holds; where it is damaged that is what comes before, and a note."""
+    """Yield the content of a packed file; if it is damaged, that before the damage, with a note."""
     size = 0
     try:
         for block in _gunzip(file) if path.suffix.lower() == ".gz" else _unzstd(path, file):
@@ -213,7 +213,7 @@ def _unpack(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
 
 
 def _gunzip(file: BinaryIO) -> Iterator[bytes]:
-    """Yield what members hold, one after another; EOFError: they are damaged."""
+    """Yield the content of the members; EOFError: they are damaged."""
     member = zlib.decompressobj(wbits=31)
     for block in _blocks(file, PIECE):
         rest = block
@@ -232,14 +232,14 @@ def _gunzip(file: BinaryIO) -> Iterator[bytes]:
 
 
 def _unzstd(path: Path, file: BinaryIO) -> Iterator[bytes]:
-    """Yield what frames hold; EOFError: they are damaged."""
+    """Yield the content of the frames; EOFError: they are damaged."""
     with part_of("formats", f"{path}: unpack it (unzstd), or"):
         import zstandard
     unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW)
-    size = told = 0
+    size = stated = 0
     try:
         if file.seekable():
-            told = zstandard.get_frame_parameters(file.read(HEADER)).content_size
+            stated = zstandard.get_frame_parameters(file.read(HEADER)).content_size
             file.seek(0)
         reader = unpacker.stream_reader(file, read_across_frames=True, closefd=False)
         while block := reader.read(BLOCK >> 4):  # what is damaged takes as much with it
@@ -247,5 +247,5 @@ def _unzstd(path: Path, file: BinaryIO) -> Iterator[bytes]:
             yield block
     except zstandard.ZstdError:
         raise EOFError("is damaged") from None
-    if size < told != zstandard.CONTENTSIZE_UNKNOWN:
+    if size < stated != zstandard.CONTENTSIZE_UNKNOWN:
         raise EOFError("is cut short")

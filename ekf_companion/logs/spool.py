@@ -15,9 +15,9 @@ import numpy.typing as npt
 from ekf_companion.errors import LogError
 
 IN_MEMORY = 1 << 24
-"""Bytes up to which no file is made."""
+"""Bytes up to which the rows stay in memory."""
 ON_DISK = "/var/tmp"
-"""Where the file is made unless TMPDIR names a folder: on many boards /tmp is in memory."""
+"""Folder of the file unless TMPDIR names another: on many boards /tmp is in memory."""
 
 
 class Spool:
@@ -76,7 +76,7 @@ class Spool:
         return rows
 
     def blocks(self, count: int) -> Iterator[npt.NDArray[Any]]:
-        """Yield all rows in their order, ``count`` at once."""
+        """Yield all rows in their order, ``count`` at a time."""
         for first in range(0, self._size, count):
             yield self.read(first, count)
 
@@ -87,12 +87,12 @@ class Spool:
 
 
 def _bytes_of(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return the bytes of rows where they are: not all names of columns may be in a buffer."""
+    """Return a view of the rows as bytes: a buffer does not allow all column names."""
     return rows.reshape(-1).view(np.uint8) if rows.nbytes else np.empty(0, dtype=np.uint8)
 
 
 def folder() -> str:
-    """Return the folder of temporary files: what TMPDIR names, or one that is on a disk."""
+    """Return the folder of temporary files: that of TMPDIR, or one that is on a disk."""
     is_named = tempfile.tempdir is not None or any(map(os.environ.get, ("TMPDIR", "TEMP", "TMP")))
     if not is_named and os.access(ON_DISK, os.W_OK):
         return ON_DISK

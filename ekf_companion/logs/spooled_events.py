@@ -1,4 +1,4 @@
-"""Events of a long recording, stored in a temporary file: memory holds those that are asked for."""
+"""Events of a long recording in a temporary file: only those asked for are in memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SpooledEvents(LazyEvents):
         return len(self._spool)
 
     def append(self, events: Events) -> None:
-        """Add events behind those there are.
+        """Append events.
 
         Raises:
             LogError: There is no room for the temporary file.

@@ -14,7 +14,7 @@ Column = npt.NDArray[np.void]
 IN_MEMORY = 1 << 22
 """Bytes of a table up to which no file is made: a log has twenty tables."""
 AT_ONCE = 1 << 14
-"""Rows that are read at once."""
+"""Rows that are read at a time."""
 
 
 class StoredRows:
@@ -43,11 +43,11 @@ class StoredRows:
         self._spool.append(rows)
 
     def read(self, first: int, end: int) -> Column:
-        """Return the rows from one to before another, or as far as there are."""
+        """Return the rows from one number to before another, or to the end."""
         return self._spool.read(first, end - first)[:, 0]
 
     def parts(self) -> Iterator[tuple[int, Column]]:
-        """Yield all rows in their order, some at once, after the number of the first of them."""
+        """Yield all rows in their order, part by part, each after the number of its first row."""
         for first in range(0, len(self), AT_ONCE):
             yield first, self.read(first, first + AT_ONCE)
 
@@ -56,7 +56,7 @@ class StoredRows:
         return self.read(0, len(self))
 
     def kept(self, keep: Callable[[int, Column], Mask]) -> StoredRows:
-        """Return the rows of which a function is true that is called with each of :meth:`parts`."""
+        """Return the rows for which a function, called with each of :meth:`parts`, is true."""
         if all(keep(first, rows).all() for first, rows in self.parts()):
             return self
         found = StoredRows(self.dtype)

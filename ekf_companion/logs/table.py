@@ -17,15 +17,15 @@ from ekf_companion.nav.arrays import Array
 
 KIND = "CSV file"
 MOST_COLUMNS = 10_000
-"""Beyond, the first line is no header."""
+"""Largest number of columns; with more, the first line is not a header."""
 SMALL = 1 << 20
-"""Bytes below which a table is read sooner than Arrow is imported."""
+"""Size, bytes, below which reading a table takes less time than importing Arrow."""
 LONGEST_LINE = 1 << 20
 """Bytes of the first and last line that are looked at."""
 BLOCK = 1 << 21
-"""Bytes that Arrow reads at once."""
+"""Bytes that Arrow reads at a time."""
 AT_ONCE = 1 << 14
-"""Rows that are taken out of the temporary storage at once."""
+"""Rows that are taken out of the temporary storage at a time."""
 
 
 class Table:
@@ -110,7 +110,7 @@ class Table:
         return body
 
     def _read_rows(self, body: bytes, where: Sequence[int]) -> Array:
-        """Return columns as rows, by a reader that says what is wrong in which line.
+        """Return columns as rows; the reader reports which line is wrong, and how.
 
         Raises:
             LogError: A cell is no number, or a line is too short.
@@ -144,7 +144,7 @@ class Table:
 def _spool_columns(
     body: memoryview, delimiter: str, width: int, where: Sequence[int], file: MappedFile
 ) -> Spool | None:
-    """Store columns by their numbers; None if the table is small, or not of one width throughout.
+    """Store columns by their numbers; None: the table is small, or its lines differ in width.
 
     Arrow reads a large table ten times as fast as numpy, and to the same bits.
     """

@@ -41,22 +41,21 @@ from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Indices, Mask, Stamps
 
 RECORD = np.dtype([("stamp_us", "<i8"), ("place", "<i8"), ("size", "<u2"), ("message_id", "<i4")])
-"""The recorder's clock as recorded, the frame's position in the file and its size, bytes, its id.
-They are small, but of hours there are millions."""
+"""The recorder's stamp, the frame's position in the file, its size in bytes, and its id. The types
+are small, since hours of recording have millions of them."""
 
 KIND = "telemetry log (.tlog)"
 STAMP, ORDER = "@stamp_us", "@order"
 """Columns before a message's own: the recorder's stamp, and the record's number."""
 _HEAD = [(STAMP, "<i8"), (ORDER, "<i8")]
 BLOCK = 1 << 20
-"""Bytes that are searched at once."""
+"""Bytes that are searched at a time."""
 LONGEST = 8 * BLOCK
-"""Bytes in which those lie that are read at once."""
+"""Largest span of bytes that is read at a time."""
 SILENCE_US = 1_000_000
-"""A longer time between two records is none in which messages came at their rate, us."""
+"""A longer time between two records is a pause, in which no messages came, us."""
 MOST_ROWS = 200_000
-"""Of a message for which some are enough: two hours at 25 Hz, and 50 MB of all that is made of
-them."""
+"""Most rows of a message that is thinned: two hours at 25 Hz, and 50 MB of derived data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,21 +73,21 @@ class Tlog:
     """The records of a log, in file order."""
 
     source: Source
-    """The file, of which only pieces are in memory."""
+    """The file, read piece by piece."""
     records: StoredRows
     """As :data:`RECORD`."""
     counts: Mapping[int, int]
     """Number of records by the id of the message."""
     damaged: int
-    """Number of runs of bytes that are no record."""
+    """Number of runs of bytes that are not records."""
     notes: tuple[str, ...] = field(default=())
     damage: Damage = UNDAMAGED
     back: int = 0
-    """Number of records that the recorder stamped earlier than the one before."""
+    """Number of records whose stamp is earlier than that of the record before."""
 
     @property
     def began_s(self) -> float | None:
-        """When the recording began, s since 1970, by its recorder's clock; None: it was not set."""
+        """Start of the recording, s since 1970, by the recorder's clock; None: it was not set."""
         first_s = float(self.records.read(0, 1)["stamp_us"][0]) * 1e-6
         return first_s if first_s > CLOCK_SET_S else None
 
@@ -102,7 +101,7 @@ class Tlog:
                 yield stamp_us, piece.raw(i)
 
     def pieces(self) -> Iterator[Frames]:
-        """Yield the frames, many at once."""
+        """Yield the frames, many at a time."""
         for _, rows in self.records.parts():
             start = rows["place"].copy()
             end = start + rows["size"]
@@ -129,12 +128,12 @@ class Tlog:
 
         Args:
             names: Of the messages, in capitals.
-            system_id: Their source.
-            component_id: Likewise; None: all components count.
-            rates: Hz, by name: of a more frequent message only every n-th is returned, and of each
-                that is named ``MOST_ROWS`` at most.
-            fields: Those to return, by name; of a message that is not named, all.
-            only: Numbers of records, ascending; None: of all.
+            system_id: Their sender.
+            component_id: Likewise; None: all components.
+            rates: Hz, by name: a more frequent message is thinned to every n-th, and each named
+                message has ``MOST_ROWS`` at most.
+            fields: Fields to return, by name; of a message that is not named, all.
+            only: Numbers of records, ascending; None: all.
 
         Returns:
             Tables by name: ``STAMP``, ``ORDER`` and the message's own fields in
@@ -171,7 +170,7 @@ class Tlog:
     def bytes_of(
         self, message_ids: Sequence[int]
     ) -> Iterator[tuple[Column, npt.NDArray[np.uint8], int]]:
-        """Yield the records of some messages, bytes of the file, and the place of the first."""
+        """Yield records of some messages, with bytes of the file and the first's position."""
         for _, rows in self._parts(None):
             rows = rows[np.isin(rows["message_id"], message_ids)]
             if len(rows):
@@ -195,7 +194,7 @@ class Tlog:
         return before
 
     def _parts(self, only: Indices | None) -> Iterator[tuple[Indices, Column]]:
-        """Yield the numbers of records, ascending, and these, as many as are read at once."""
+        """Yield numbers of records, ascending, and the records, as many as are read at a time."""
         for first, rows in self.records.parts():
             some = np.arange(first, first + len(rows))
             if only is not None:
@@ -208,7 +207,7 @@ class Tlog:
                 some, rows = some[count:], rows[count:]
 
     def _strides(self, counts: Mapping[str, int], rates: Mapping[str, float]) -> dict[str, int]:
-        """Return of how many messages one is enough for its rate, Hz, exceeded by 10 % at most."""
+        """Return the stride that thins each message to its rate, Hz; it may be exceeded by 10 %."""
         seconds = self._seconds() if rates else 0.0
         enough = {name: min(rate * seconds, MOST_ROWS) for name, rate in rates.items()}
         return {
@@ -217,7 +216,7 @@ class Tlog:
         }
 
     def _seconds(self) -> float:
-        """Return for how long messages came."""
+        """Return for how long messages came, s."""
         spent_us = 0
         newest = self.records.read(0, 1)["stamp_us"]
         for _, rows in self.records.parts():
@@ -231,7 +230,7 @@ class Tlog:
 def _is_from(
     raw: npt.NDArray[np.uint8], place: Stamps, system_id: int, component_id: int | None
 ) -> Mask:
-    """Return which frames, by their places in ``raw``, are of a source."""
+    """Return which frames, by their positions in ``raw``, come from a sender."""
     system = place + np.where(raw[place] == STX_2, 5, 3)
     is_from = np.asarray(raw[system] == system_id)
     return is_from if component_id is None else is_from & (raw[system + 1] == component_id)
@@ -245,7 +244,7 @@ def _fill(
     order: Indices,
     message_id: int,
 ) -> None:
-    """Write records of one message, with their numbers, into a table of as many rows."""
+    """Write records of one message, with their numbers, into a table of the same length."""
     place = records["place"] - begin
     payload = place + np.where(raw[place] == STX_2, 10, 6)
     wire = _payloads(raw, payload, raw[place + 1], message_id)
@@ -264,7 +263,7 @@ def _dtype(name: str, fields: Mapping[str, Sequence[str]]) -> np.dtype[np.void]:
 def _payloads(
     raw: npt.NDArray[np.uint8], place: Stamps, size: npt.NDArray[np.uint8], message_id: int
 ) -> Column:
-    """Return payloads as a table in wire order, zeros where they are cut short."""
+    """Return payloads as a table in wire order, with zeros where they are cut short."""
     dtype = LAYOUTS[message_id].dtype
     rows = np.zeros((len(place), dtype.itemsize), dtype=np.uint8)
     for length in np.flatnonzero(np.bincount(size)).tolist():
@@ -302,7 +301,7 @@ def read(path: Path) -> Tlog:
 
 
 def _back(records: StoredRows) -> int:
-    """Return how many records are stamped earlier than the one before."""
+    """Return how many records have a stamp before that of the record before."""
     found, newest = 0, records.read(0, 1)["stamp_us"]
     for _, rows in records.parts():
         stamps = rows["stamp_us"]
@@ -321,16 +320,16 @@ def _counts(records: StoredRows) -> dict[int, int]:
 
 
 class _Gaps(NamedTuple):
-    """The bytes before and between the records that are in none."""
+    """Bytes before and between the records."""
 
     runs: int
     bytes: int
     end: int
-    """Of the last record."""
+    """End of the last record."""
 
 
 def _gaps(records: StoredRows) -> _Gaps:
-    """Find what is in no record."""
+    """Find the bytes that are in no record."""
     runs = lost = end = 0
     for _, rows in records.parts():
         ends = rows["place"] + rows["size"]
@@ -340,7 +339,7 @@ def _gaps(records: StoredRows) -> _Gaps:
 
 
 def _damage(source: Source, gaps: _Gaps) -> Damage:
-    """Return what the damaged bytes are for the verdict, and their share of the file."""
+    """Return the damage for the verdict, and its share of the file."""
     places = f"{damaged_places(gaps.runs)} in the file ({gaps.bytes / 1e3:.3g} kB)"
     words = [places] if gaps.runs else []
     words += [CUT] if gaps.end < len(source) else []
@@ -361,7 +360,7 @@ def _left_out(source: Source, gaps: _Gaps) -> Iterator[str]:
 
 
 def _find_records(source: Source) -> tuple[StoredRows, int]:
-    """Return the records, as :data:`RECORD`, and the number of bad runs."""
+    """Return the records, as :data:`RECORD`, and the number of damaged runs."""
     steps, moves = tlog_search.byte_steps(), tlog_search.zero_moves()
     extras = np.full(max(CRC_EXTRAS) + 1, -1, dtype=np.int16)
     for number, extra in CRC_EXTRAS.items():

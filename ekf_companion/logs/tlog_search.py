@@ -24,16 +24,17 @@ Words = npt.NDArray[np.uint16]
 MOVES = 255 + 10
 """Zero bytes at most, and one: under a checksum lie a header without its start, and a payload."""
 LOOK_AHEAD = cython.declare(cython.Py_ssize_t, 1024)
-"""Bytes behind a record's start that may decide whether it is one: three frames, rounded up."""
+"""Bytes behind a record's start that may decide whether it is valid: three frames, rounded up."""
 PLAUSIBLE_US = cython.declare(cython.ulonglong, 3 * 86_400_000_000)
 """Largest plausible difference of a stamp from the last good one, us."""
 STATE = 4
 """Numbers that are kept from one block of data to the next, in this order: whether the search goes
-on byte by byte, the stamp of the last record, whether there is one, and the damaged places."""
+on byte by byte, the stamp of the last record, whether there is one, and the number of damaged
+places."""
 
 
 def byte_steps() -> Words:
-    """Return what a step makes of each low byte of the register, shape (256,)."""
+    """Return the change of the register for each value of its low byte, shape (256,)."""
     table = np.arange(256, dtype=np.uint16)
     for _ in range(8):
         table = np.where(table & 1, (table >> 1) ^ 0x8408, table >> 1).astype(np.uint16)
@@ -41,10 +42,10 @@ def byte_steps() -> Words:
 
 
 def zero_moves() -> Words:
-    """Return what becomes of the register over zero bytes, by their number, shape (MOVES, 512).
+    """Return the register after a number of zero bytes, shape (MOVES, 512).
 
-    The register's low byte chooses among the first 256 columns, its high byte among the others;
-    the exclusive-or of both is the answer.
+    The register's low byte selects among the first 256 columns, its high byte among the others; the
+    result is the exclusive-or of both.
     """
     steps = byte_steps()
     moves = np.empty((MOVES, 512), dtype=np.uint16)
@@ -55,7 +56,7 @@ def zero_moves() -> Words:
 
 
 def checksum_all(data: memoryview, steps: Words, sums: Words) -> None:
-    """Write the register after each number of bytes, that begins with zero, shape (n + 1,)."""
+    """Write the register after each number of bytes, starting from zero, shape (n + 1,)."""
     value = 0
     sums[0] = 0
     for i in range(len(data)):
@@ -73,7 +74,7 @@ def find_records(
     records: Stamps,
     is_end: bool,
 ) -> tuple[int, int]:
-    """Find the records in a block of data, as :mod:`.tlog` says what one is.
+    """Find the records, as defined in :mod:`.tlog`, in a block of data.
 
     Args:
         data: Bytes, shape (n,).
@@ -81,13 +82,13 @@ def find_records(
         steps: Of ``byte_steps``.
         moves: Of ``zero_moves``.
         extras: The seed that ends the bytes under a checksum, by message id; -1: unknown.
-        state: Zeros before the first block, then as the block before has left it.
-        records: Receives stamp (us), place in the block, size and message id, shape at least
+        state: Zeros before the first block, then as the last call has left it.
+        records: Receives stamp (us), position in the block, size and message id, shape at least
             (n // 16 + 1, 4).
-        is_end: Whether the file ends with the block; else its last bytes wait for the next one.
+        is_end: Whether the file ends with the block; else its last bytes are left for the next one.
 
     Returns:
-        The number of records, and the place in the block where the search goes on.
+        The number of records, and the position in the block where the search continues.
     """
     n, end, start = 0, len(data), 0
     reach = 16 if is_end else LOOK_AHEAD  # the shortest frame has 8 bytes
@@ -124,7 +125,7 @@ def find_records(
 
 
 def frame_size(data: memoryview, place: int, end: int) -> int:
-    """Return the bytes that a frame would have, maybe beyond the data; 0 if none begins here."""
+    """Return the size of a frame that begins here, even beyond the data; 0: none begins."""
     if data[place] == 0xFE:
         return 8 + data[place + 1]
     if data[place] == 0xFD and place + 12 <= end:
@@ -140,7 +141,7 @@ def message_id(data: memoryview, place: int) -> int:
 
 
 def seed(data: memoryview, place: int, extras: npt.NDArray[np.int16]) -> int:
-    """Return the seed of a frame's checksum, -1 of an unknown id."""
+    """Return the seed of a frame's checksum; -1: unknown id."""
     number = message_id(data, place)
     return extras[number] if number < len(extras) else -1
 
@@ -185,7 +186,7 @@ def continues(data: memoryview, start: int, end: int, stamp: int) -> bool:
 
 
 def is_plausible(data: memoryview, after: int, end: int, stamp: int, state: array[int]) -> bool:
-    """Return whether a stamp is near the last one, or else the record after it is near it."""
+    """Return whether a stamp is near the last one, or the record after it is near the stamp."""
     if not state[2] or is_near(stamp, state[1]):
         return True
     return continues(data, after, end, stamp)
@@ -201,7 +202,7 @@ def may_resume(
     extras: npt.NDArray[np.int16],
     state: array[int],
 ) -> bool:
-    """Return whether a frame of known id with a right checksum and a plausible stamp begins here.
+    """Return whether a frame of known id, right checksum and plausible stamp begins here.
 
     Its signature may lie beyond the data.
     """

@@ -1,4 +1,4 @@
-"""Who speaks in a telemetry log: its vehicles, by their heartbeats and by what else they send."""
+"""Senders in a telemetry log: its vehicles, by their heartbeats and their other messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ekf_companion.mavlink.frame import STX_2
 from ekf_companion.mavlink.messages import IDS
 
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
-"""Messages that bring inertial samples."""
+"""Messages with inertial samples."""
 _ARDUPILOT = (
     *("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3", "AHRS", "AHRS2", "MEMINFO", "HWSTATUS"),
     *("SENSOR_OFFSETS", "SIMSTATE", "EKF_STATUS_REPORT"),
@@ -25,7 +25,7 @@ _PX4 = ("ESTIMATOR_STATUS", "ALTITUDE", "ACTUATOR_CONTROL_TARGET", "UTM_GLOBAL_P
 _FAMILIES = {3: "ardupilot", 12: "px4"}
 """MAV_AUTOPILOT."""
 _STAYS = 2
-"""Heartbeats that prove a sender that stays: one may be stray."""
+"""Heartbeats from which on a sender counts: a single one may be stray."""
 _HEARTBEAT = IDS["HEARTBEAT"]
 _READ = [_HEARTBEAT, *(IDS[name] for name in {*INERTIAL, *_ARDUPILOT, *_PX4})]
 
@@ -41,11 +41,11 @@ class Sender:
     samples: int = 0
     """Messages with inertial samples."""
     family: str = "unknown"
-    """``px4``, ``ardupilot`` or ``unknown``: by its heartbeats, or else by what it sends."""
+    """``px4``, ``ardupilot`` or ``unknown``: by its heartbeats, or by its other messages."""
 
     @property
     def is_vehicle(self) -> bool:
-        """Whether it is the autopilot of a vehicle, and no stray frame."""
+        """Whether it is the autopilot of a vehicle, and not a stray frame."""
         return self.heartbeats >= _STAYS or (self.heartbeats == 0 and self.samples > 0)
 
     @property
@@ -55,7 +55,7 @@ class Sender:
 
 
 def senders(log: Tlog) -> list[Sender]:
-    """Return the autopilots of a log, and who else sends inertial samples, by their ids."""
+    """Return the autopilots of a log, and other senders of inertial samples, by their ids."""
     messages: Counter[tuple[int, ...]] = Counter()
     heartbeats: Counter[tuple[int, ...]] = Counter()
     for rows, raw, begin in log.bytes_of(_READ):
@@ -90,14 +90,14 @@ def senders(log: Tlog) -> list[Sender]:
 
 
 def _counted(*columns: np.ndarray) -> Counter[tuple[int, ...]]:
-    """Return how often each row of some columns comes."""
+    """Return the number of occurrences of each row of some columns."""
     table = np.stack([column.astype(np.int64) for column in columns], axis=1)
     rows, counts = np.unique(table, axis=0, return_counts=True)
     return Counter(dict(zip(map(tuple, rows.tolist()), counts.tolist(), strict=True)))
 
 
 def _family(numbers: set[int]) -> str:
-    """Return whose messages these are."""
+    """Return the family whose messages these are."""
     for family, names in (("ardupilot", _ARDUPILOT), ("px4", _PX4)):
         if numbers & {IDS[name] for name in names}:
             return family
@@ -105,15 +105,15 @@ def _family(numbers: set[int]) -> str:
 
 
 def unannounced(found: Iterable[Sender], wanted: int | None) -> Sender | None:
-    """Return whose samples to take where no autopilot announces itself by heartbeats.
+    """Return the sender of samples to use where no autopilot sends heartbeats.
 
     Args:
         found: All senders.
         wanted: System id of the one to listen to; None: any.
 
     Returns:
-        Component 1 before any other, then the one with most samples. None: there is nobody, or a
-        PX4 or ArduPilot sends heartbeats, or another autopilot that sends samples too.
+        Component 1 before any other, then the one with most samples. None: there is none, or a
+        PX4 or ArduPilot sends heartbeats, or another autopilot does that sends samples too.
     """
     asked = [one for one in found if wanted in (None, one.system_id)]
     if any(one.heartbeats and (one.samples or one.family != "unknown") for one in asked):
@@ -123,7 +123,7 @@ def unannounced(found: Iterable[Sender], wanted: int | None) -> Sender | None:
 
 
 def others(found: Iterable[Sender], used: Autopilot) -> list[Sender]:
-    """Return one autopilot of each other system than that in use: those of other vehicles."""
+    """Return one autopilot of each system other than the one in use: other vehicles."""
     vehicles: dict[int, Sender] = {}
     for one in found:
         is_other = one.system_id != used.system_id and one.is_vehicle
@@ -135,7 +135,8 @@ def others(found: Iterable[Sender], used: Autopilot) -> list[Sender]:
 def autopilot_of(log: Tlog, wanted: int | None = None) -> Autopilot | None:
     """Return the autopilot that a session would listen to; None: there is none.
 
-    Of several it is that of a known firmware, then component 1, then the one with most samples.
+    Among several, one of known firmware comes first, then component 1, then the one with most
+    samples.
     """
     found = senders(log)
     if (silent := unannounced(found, wanted)) is not None:

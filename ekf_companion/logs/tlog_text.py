@@ -18,7 +18,7 @@ from ekf_companion.logs.tlog import ORDER, Autopilot, Tlog
 from ekf_companion.logs.tlog_trajectory import boot_clock
 
 _INT_TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4"}
-"""MAV_PARAM_TYPE of whole numbers, whose bytes PX4 sends in place of a float's."""
+"""MAV_PARAM_TYPE of integers, whose bytes PX4 sends in place of a float's."""
 _FIELDS = {
     "PARAM_VALUE": ("param_id", "param_value", "param_type"),
     "STATUSTEXT": ("severity", "text", "id", "chunk_seq"),
@@ -28,7 +28,7 @@ _NAMES = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
 
 def read(log: Tlog, of: Autopilot) -> Onboard:
-    """Return what the autopilot sent of itself."""
+    """Return firmware, parameters and messages of the autopilot."""
     ids = of.system_id, of.component_id
     found = log.columns([*_FIELDS], *ids, fields=_FIELDS)
     firmware = ""
@@ -57,7 +57,7 @@ def _parameters(rows: Column | None, *, is_bytewise: bool) -> dict[str, float]:
 
 
 def _messages(log: Tlog, of: Autopilot, rows: Column | None) -> tuple[list[Message], int]:
-    """Return the lines, those that came in several parts put together, and how many are more."""
+    """Return the lines, with those in several parts joined, and how many more there are."""
     if rows is None:
         return [], 0
     order, t_ns = boot_clock(log, of)
@@ -76,5 +76,5 @@ def _messages(log: Tlog, of: Autopilot, rows: Column | None) -> tuple[list[Messa
             stamp_ns = int(stamp) if is_known else None
             found.append((stamp_ns, level_of(int(row["severity"])), bytes(row["text"])))
         last = number, part
-    told = [Message(stamp_ns, level, clean(text)) for stamp_ns, level, text in found]
-    return told, len(rows) - len(kept)
+    lines = [Message(stamp_ns, level, clean(text)) for stamp_ns, level, text in found]
+    return lines, len(rows) - len(kept)

@@ -25,7 +25,7 @@ _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 _TRUTH = ("SIM_STATE", "HIL_STATE_QUATERNION")
 _ESTIMATE = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE")
 _TIMES = {**dict.fromkeys(_INERTIAL, ("time_usec",)), "ATTITUDE": ("time_boot_ms",)}
-"""Fields of messages of which only the clock is of use."""
+"""Fields of messages of which only the clock is used."""
 _ESTIMATED = {
     "GLOBAL_POSITION_INT": ("time_boot_ms", "lat", "lon", "alt", "vx", "vy", "vz"),
     "LOCAL_POSITION_NED": ("time_boot_ms", "x", "y", "z", "vx", "vy", "vz"),
@@ -36,10 +36,10 @@ _TRUE = {
     "SIM_STATE": (*_Q_NB, "lat", "lon", "alt", "vn", "ve", "vd", "lat_int", "lon_int"),
     "HIL_STATE_QUATERNION": ("attitude_quaternion", "lat", "lon", "alt", "vx", "vy", "vz"),
 }
-"""Fields of which a trajectory is made: of hours of flight the others would be 20 MB."""
+"""Fields that a trajectory is made of: the others would take 20 MB for hours of flight."""
 RATES = {**dict.fromkeys(_INERTIAL, 10.0), **dict.fromkeys((*_TRUTH, *_ESTIMATE), 25.0)}
-"""Hz: between two such rows a motion is known to millimetres; of inertial samples only the clock
-is of use here."""
+"""Hz: between two such rows a motion is known to millimetres; of inertial samples only the clock is
+used."""
 
 
 def _boot_ns(table: Column) -> Stamps:
@@ -78,7 +78,7 @@ def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
 def _tables(
     log: Tlog, of: Autopilot, names: Sequence[str], fields: Mapping[str, Sequence[str]]
 ) -> dict[str, Column]:
-    """Return the autopilot's messages of one boot, by their names, and those that tell its time."""
+    """Return the autopilot's messages of one boot, by name, and those that carry its time."""
     ids = of.system_id, of.component_id
     names = [*names, *(name for name in ("ATTITUDE", *_INERTIAL) if name not in names)]
     tables = _one_boot(log.columns(names, *ids, rates=RATES, fields={**_TIMES, **fields}))
@@ -107,16 +107,17 @@ def _stamps_before(
 
 
 def boot_clock(log: Tlog, of: Autopilot) -> tuple[Stamps, Stamps]:
-    """Return the boot time of some records of the longest boot, ns, and their numbers before it.
+    """Return the boot time of some records of the longest boot, ns, and the numbers of the records.
 
-    Between two of them a tenth of a second passes or less; both are empty where none tells it.
+    Two of them are a tenth of a second apart or less; both are empty where no record carries the
+    time.
     """
     tables = [*_tables(log, of, (), {}).values()]
     return _clock(tables) if tables else (np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
 def utc_zero_ns(log: Tlog, of: Autopilot) -> int | None:
-    """Return the UTC at which the autopilot's clock was zero, ns, by that of the recorder.
+    """Return the UTC at which the autopilot's clock was zero, ns, by the recorder's clock.
 
     None where that was not set, or the autopilot rebooted.
     """
@@ -138,8 +139,8 @@ def utc_zero_ns(log: Tlog, of: Autopilot) -> int | None:
 def reference(log: Tlog, of: Autopilot) -> Trajectory | None:
     """Return the autopilot's own estimate on its boot clock, or None if the log holds none.
 
-    Position is GLOBAL_POSITION_INT's, or LOCAL_POSITION_NED's about GPS_GLOBAL_ORIGIN; velocity
-    is LOCAL_POSITION_NED's, or GLOBAL_POSITION_INT's; attitude is ATTITUDE's.
+    Position is that of GLOBAL_POSITION_INT, or of LOCAL_POSITION_NED about GPS_GLOBAL_ORIGIN;
+    velocity that of LOCAL_POSITION_NED or GLOBAL_POSITION_INT; attitude that of ATTITUDE.
     """
     world, local, origin = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"
     tables = _tables(log, of, [world, local, origin, "ATTITUDE"], _ESTIMATED)

@@ -58,9 +58,9 @@ from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.state import Trajectory
 
 STREAMED = ("sensor_combined", "vehicle_magnetometer", "sensor_mag", "vehicle_air_data")
-"""Topics whose rows are never in memory all together."""
+"""Topics whose rows are never in memory all at once."""
 GNSS_STD_UNKNOWN = {"eph": 2.0, "epv": 3.0, "s_variance_m_s": 0.5}
-"""m, m, m/s where the receiver gives no accuracy: a receiver in the open, on the safe side."""
+"""m, m, m/s where the receiver gives no accuracy: a receiver in the open, rounded up."""
 JAMMING_CRITICAL = 3
 """sensor_gps.jamming_state: 0 unknown, 1 ok, 2 warning (fix still good), 3 critical."""
 SPOOFING_INDICATED = 2
@@ -68,9 +68,9 @@ SPOOFING_INDICATED = 2
 ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
 SAME_TIME = 0.005
-"""Between two stamps that mean the same time, s: PX4's driver and the topic made of it."""
+"""Largest difference, s, of two stamps of the same time: PX4's driver and the topic made of it."""
 FIRST_ULOG, FIRST_DEGREES = "2016-05", "2023-01"
-"""When PX4 began to write such logs, and to write fixes in degrees (PX4 1.14)."""
+"""Dates at which PX4 began to write such logs, and to write fixes in degrees (PX4 1.14)."""
 EARTH_RADIUS = 6371000.0
 """m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""
 
@@ -148,10 +148,10 @@ def read(path: Path) -> Recording:
 
 
 def _gnss_delay(log: Messages, topic: Topic) -> tuple[float | None, bool]:
-    """Return the receiver's delay, s, and whether ``timestamp_sample`` has it taken off.
+    """Return the receiver's delay, s, and whether it has been subtracted in ``timestamp_sample``.
 
-    PX4 1.18 takes what SENS_GPS0_DELAY says (before: EKF2_GPS_DELAY, by its filter alone) off the
-    time of publication, unless the receiver itself says when a fix was true: then there is none.
+    PX4 1.18 subtracts SENS_GPS0_DELAY (before: EKF2_GPS_DELAY, in its filter only) from the time of
+    publication, unless the receiver itself reports the time of a fix: then there is no delay.
 
     Source: PX4 1.18, ``VehicleGPSPosition.cpp``.
     """
@@ -186,7 +186,7 @@ def _damage(log: Messages, stored: Stored) -> Damage:
 
 
 def _began_s(stored: Stored, zero_ns: int | None) -> float | None:
-    """Return when the log began, s since 1970, UTC."""
+    """Return the time at which the log began, s since 1970, UTC."""
     if zero_ns is None:
         return None
     firsts = [series.nanoseconds(rows.read(0, 1)["timestamp"]) for rows in stored.values()]

@@ -1,8 +1,8 @@
-"""Which of several sensors and receivers of a PX4 log is used, and when.
+"""Which of several sensors and receivers of a PX4 log is used, over time.
 
 PX4 puts what it uses in topics of their own: ``sensor_combined`` the inertial samples,
-``vehicle_gps_position`` the fixes. Where such a topic has nothing good, the sensors' own topics
-are used. With a filter for each compass, ``estimator_selector_status`` says which one counts.
+``vehicle_gps_position`` the fixes. Where such a topic has no good rows, the sensors' own topics are
+used. With a filter for each compass, ``estimator_selector_status`` names the one in use.
 
 Source: PX4-Autopilot, EKF2Selector.cpp, voted_sensors_update.cpp (sensor_combined is a mean of
 vehicle_imu), VehicleGPSPosition.cpp.
@@ -31,7 +31,7 @@ ANGLES, VELOCITIES = (
     tuple(f"{field}[{axis}]" for axis in range(3)) for field in ("delta_angle", "delta_velocity")
 )
 ASKED = ("vehicle_imu", SELECTED)
-"""Topics that nothing else reads."""
+"""Topics that only this module reads."""
 INTEGRATED = (*ANGLES, *VELOCITIES, "delta_angle_dt", "delta_velocity_dt")
 """Of vehicle_imu: angle, rad, velocity, m/s, and the times of both, us."""
 _RATES = tuple(
@@ -48,16 +48,16 @@ class Family(NamedTuple):
     topics: tuple[str, ...]
     """The topic of what the autopilot uses, then those of its sensors."""
     patience_ns: int
-    """A shorter time without a good row is no reason for another sensor."""
+    """Time without a good row after which another sensor is taken."""
     lack: str
-    """What one that is left has not."""
+    """What a sensor that is left lacks, for the note."""
     device: str
-    """Column of the sensor's id, and in estimator_selector_status."""
+    """Column of the sensor's id here, and in estimator_selector_status."""
     selected: str
     aligned: tuple[str, ...]
-    """Columns that go on from those of the sensor before."""
+    """Columns that are continued from the sensor before."""
     is_good: Callable[[Column, Column | None], Mask]
-    """Of some rows, after the row before them."""
+    """Returns which of some rows are good, given the row before them."""
 
 
 def _is_sample(rows: Column, before: Column | None) -> Mask:
@@ -130,7 +130,7 @@ FAMILIES = (
 
 
 class _Sensor(NamedTuple):
-    """The rows of one sensor, or of what the autopilot has chosen of several."""
+    """The rows of one sensor, or of the selection that the autopilot has made among several."""
 
     topic: str
     instance: int
@@ -239,7 +239,7 @@ def _good(family: Family, sensor: _Sensor) -> Good:
 
 
 def _wanted(family: Family, sensors: Sequence[_Sensor], tables: Sequence[Table]) -> Wanted:
-    """Return from when on the autopilot uses which sensor."""
+    """Return the sensor that the autopilot uses, over time."""
     first = sensors[0].topic
     if first == family.topics[0] and any(one.topic != first for one in sensors):
         return [(0, 0)]  # its own choice, beside the sensors
@@ -293,7 +293,7 @@ def _put_together(
 def _rows_between(
     family: Family, sensors: Sequence[_Sensor]
 ) -> Callable[[instances.Key, int, int], tuple[Stamps, Array]]:
-    """Return what finds the good rows of a sensor from a time to before another."""
+    """Return a function that finds the good rows of a sensor between two times."""
 
     def rows_of(key: instances.Key, begin_ns: int, end_ns: int) -> tuple[Stamps, Array]:
         times, values = [np.empty(0, dtype=np.int64)], [np.empty((0, len(family.aligned)))]

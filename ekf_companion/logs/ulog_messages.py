@@ -29,29 +29,30 @@ from ekf_companion.logs.stored_rows import StoredRows
 Fields = list[tuple[str, str]]
 """Name and numpy type of each field, in the order in which they lie in a row."""
 Formats = dict[str, list[tuple[str, int, str]]]
-"""Type, number (0: no array) and name of each field, by the name of the format."""
+"""Type, array size (0: no array) and name of each field, by the name of the format."""
 
 KIND = "ULog (.ulg) of PX4"
 MAGIC = b"ULog\x01\x12\x35"
 HEADER = 16
 """Bytes before the first message."""
 LARGEST_ROW = 65_535
-"""Bytes that a message's size can state."""
+"""Largest size that a message's header can state, bytes."""
 AT_ONCE = 1 << 16
-"""Messages that are searched at once."""
+"""Messages that are searched at a time."""
 MOST_DEFINITIONS = 1 << 16
-"""Formats, parameters and subscriptions; beyond, they are damage."""
+"""Most formats, parameters and subscriptions; more are damage."""
 LATEST_US = 1 << 52
-"""A stamp beyond it, 140 years after the start, is damaged."""
+"""A later stamp, 140 years after the start, is damaged."""
 DEEPEST = 16
-"""Formats within a format."""
+"""Most levels of formats within formats."""
 _TYPES = {
     f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)
 }
 _TYPES |= {"float": "<f4", "double": "<f8", "bool": "i1", "char": "i1"}
 """Numpy's codes of the basic types."""
 INFORMATION = ("sys_name", "ver_hw", "ver_sw", "ver_sw_release")
-"""What is kept of what a log says of its autopilot: the hash of the firmware's source is ver_sw."""
+"""Keys that are kept of the autopilot's information: ver_sw is the hash of the firmware's
+source."""
 _ids = Struct("<BH").unpack_from
 _text = Struct("<HxBQ").unpack_from
 _offsets = Struct("<8x8B3Q").unpack_from
@@ -70,30 +71,30 @@ class Table:
 
 @dataclass(slots=True, eq=False)
 class Messages:
-    """What is read of a log."""
+    """Content of a log."""
 
     tables: list[Table] = field(default_factory=list)
-    """In the order of their subscriptions, without those of no row."""
+    """In the order of their subscriptions, without empty ones."""
     parameters: dict[str, float] = field(default_factory=dict)
-    """As they were when the log began."""
+    """Values at the start of the log."""
     information: dict[str, bytes] = field(default_factory=dict)
     """Values by name: of the firmware, as ``INFORMATION`` names them."""
     texts: list[Message] = field(default_factory=list)
     """The first lines that were logged."""
     more_texts: int = 0
-    """Lines behind these."""
+    """Number of further lines."""
     dropouts: tuple[float, ...] = ()
-    """Lengths of the gaps while the log was written, s."""
+    """Lengths of the gaps in the writing of the log, s."""
     is_damaged: bool = False
     subscriptions: int = 0
     """To any topic."""
     rest: int = 0
-    """Bytes at the end that are no whole message."""
+    """Bytes at the end that are an incomplete message."""
     notes: tuple[str, ...] = ()
-    """What is to be said of the file itself."""
+    """Notes on the file itself."""
 
     def onboard(self) -> Onboard:
-        """Return what the autopilot wrote of itself."""
+        """Return firmware, parameters and messages of the autopilot."""
         known = self.information
         words = [clean(known.get(name, b"")) for name in ("sys_name", "ver_hw")]
         if len(release := known.get("ver_sw_release", b"")) == 4:
@@ -105,18 +106,18 @@ class Messages:
 
 
 class _Layout(NamedTuple):
-    """How a topic's rows lie in its messages."""
+    """Layout of a topic's rows in its messages."""
 
     dtype: np.dtype[np.void]
     """Without the padding at the end."""
     most: int
-    """Bytes with it."""
+    """Size with the padding, bytes."""
     kept: np.dtype[np.void]
     """The fields that are kept of it."""
 
 
 class _Subscription(NamedTuple):
-    """What messages of an id are, from some place in the file on."""
+    """Topic of the messages of an id, from some position in the file on."""
 
     topic: str
     instance: int
@@ -188,7 +189,7 @@ class _Reader:
                 self._found.is_damaged = True
 
     def _message(self, place: int) -> tuple[bytes, int]:
-        """Return what a message that defines something holds, and where it ends.
+        """Return the content of a message that defines something, and where it ends.
 
         Raises:
             LogError: There are too many of them.
@@ -203,7 +204,7 @@ class _Reader:
         return bytes(self._data[place + 3 : end]), end
 
     def _take_format(self, content: bytes) -> None:
-        """Take ``NAME:TYPE FIELD;TYPE[SIZE] FIELD;``."""
+        """Store ``NAME:TYPE FIELD;TYPE[SIZE] FIELD;``."""
         name, colon, text = content.decode("utf-8", "ignore").partition(":")
         fields = []
         for part in text.split(";"):
@@ -218,7 +219,7 @@ class _Reader:
         self._formats[name] = fields
 
     def _take_parameter(self, content: bytes) -> None:
-        """Take the value of ``TYPE NAME``."""
+        """Store the value of ``TYPE NAME``."""
         after = 1 + content[0]
         kind, _, name = content[1:after].decode("utf-8", "ignore").partition(" ")
         if len(content) == after + 4:
@@ -227,21 +228,21 @@ class _Reader:
             self._found.is_damaged = True
 
     def _take_information(self, content: bytes) -> None:
-        """Keep the value of ``TYPE NAME``, as bytes, where it is of use."""
+        """Store the value of ``TYPE NAME``, as bytes, if it is used."""
         after = 1 + (content[0] if content else 0)
         name = content[1:after].partition(b" ")[2].decode("utf-8", "ignore")
         if name in INFORMATION:
             self._found.information[name] = content[after:]
 
     def _take_text(self, place: int) -> None:
-        """Keep a line: its level is a digit, as that of syslog."""
+        """Store a line: its level is a digit, as that of syslog."""
         size, level, stamp_us = _text(self._data, place)
         text = clean(bytes(self._data[place + 12 : place + 3 + size]))
         t_ns = stamp_us * 1000 if stamp_us < LATEST_US else None
         self._found.texts.append(Message(t_ns, level_of(level - ord("0")), text))
 
     def _take_flags(self, content: bytes) -> None:
-        """Take what says how to read the file.
+        """Check the flags that change how the file is read.
 
         Raises:
             LogError: A flag that is not known.
@@ -259,7 +260,7 @@ class _Reader:
             self._ends = sorted(known)
 
     def _read_data(self, place: int, end: int) -> int:
-        """Find the rows and dropouts of a part of the file; return where its whole messages end."""
+        """Find the rows and dropouts of a part; return the end of its complete messages."""
         found = np.empty((AT_ONCE, 2), dtype=np.int64)
         kind = -1
         while kind:
@@ -278,7 +279,7 @@ class _Reader:
         return place
 
     def _take_rows(self, found: npt.NDArray[np.int64]) -> None:
-        """Store the rows at places by what they are subscribed to, and the dropouts' lengths."""
+        """Store rows under the topics that their ids stand for, and dropouts' lengths."""
         is_row = found[:, 1] >= 0
         places, owner = found[is_row, 0], self._owner[found[is_row, 1]]
         for number in np.unique(owner).tolist():
@@ -299,7 +300,7 @@ class _Reader:
             self._dropouts.append(int.from_bytes(self._data[place : place + 2], "little"))
 
     def _subscribe(self, content: bytes) -> None:
-        """Note that messages of an id are of a topic from now on."""
+        """Note that messages of an id belong to a topic from now on."""
         if len(content) < 3:
             raise ValueError(content)
         self._found.subscriptions += 1
@@ -320,7 +321,7 @@ class _Reader:
 
 
 def _layout(formats: Formats, topic: str, unused: Collection[str]) -> _Layout | None:
-    """Return how the rows of a topic lie; None if its format is damaged."""
+    """Return the layout of a topic's rows; None if its format is damaged."""
     fields: Fields = []
     size = 0
     try:
@@ -342,8 +343,8 @@ def _flatten(formats: Formats, name: str, before: str, depth: int) -> Iterator[t
     """Yield name and type of each field of a format, and of the formats within it.
 
     Raises:
-        KeyError: A format is not there.
-        ValueError: A format has no fields, or formats lie too deep in each other.
+        KeyError: A format is missing.
+        ValueError: A format has no fields, or formats are nested too deeply.
     """
     if not formats[name] or not depth:
         raise ValueError(name)

@@ -17,7 +17,7 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 
 Topic = dict[str, npt.NDArray[Any]]
-"""Columns of one topic by field name, and ``t_ns``: when each row was published."""
+"""Columns of one topic by field name, and ``t_ns``: the time of publication of each row."""
 Topics = dict[str, Topic]
 """By name, in memory."""
 Stored = dict[str, StoredRows]
@@ -68,7 +68,7 @@ UNUSED = (
     "accel_calibration_count",
     "gyro_calibration_count",
 )
-"""Fields that are not kept: of the inertial samples of hours they would be tens of MB."""
+"""Fields that are not kept: those of inertial samples would be tens of MB for hours."""
 
 
 def load(path: Path) -> Messages:
@@ -83,9 +83,9 @@ def load(path: Path) -> Messages:
 def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
     """Return each topic's rows that have the fields needed, on one clock run.
 
-    They are those of the sensors in use, and else of the first instance. Rows whose stamps are
-    damaged, or of another boot, are dropped. Also return from when to when the log's sensors
-    spoke, of which samples may be a part.
+    They are those of the sensors in use, otherwise of the first instance. Rows whose stamps are
+    damaged, or of another boot, are dropped. Also return first and last stamp of the log's sensors,
+    of which the samples may be a part.
     """
     usable = [
         table
@@ -111,7 +111,7 @@ def _on_run(rows: StoredRows, run: series.CommonRun) -> StoredRows:
 
 
 def stamps_of(rows: StoredRows) -> Iterator[Stamps]:
-    """Yield when the rows of a topic were published, part by part, ns."""
+    """Yield the times of publication of a topic's rows, part by part, ns."""
     for _, some in rows.parts():
         yield series.nanoseconds(some["timestamp"])
 
@@ -125,7 +125,7 @@ def columns_of(rows: Column) -> Topic:
 def combined(stored: Stored, sensor: str, column: str) -> Topic | None:
     """Return the rows of sensor_combined with a new sample of another sensor: PX4 before 1.8.
 
-    ``SENSOR_timestamp_relative`` is the sample's time from the row's, us; the largest number where
+    ``SENSOR_timestamp_relative`` is the sample's time less the row's, us; the largest number where
     the row has no sample.
     """
     rows, relative = stored.get("sensor_combined"), f"{sensor}_timestamp_relative"

@@ -1,8 +1,8 @@
-"""Writing of estimates as a ULog (.ulg), under the names that PX4 gives its own.
+"""Writing of estimates as a ULog (.ulg), under PX4's own topic names.
 
 Flight Review and PlotJuggler show ``vehicle_attitude``, ``vehicle_local_position`` and
-``vehicle_global_position`` as they do those of an autopilot. A row is a few structs in a row, so a
-chunk is written at once.
+``vehicle_global_position`` as they do those of an autopilot. Each row is a fixed sequence of
+structs, so a chunk is written at once.
 
 Source: PX4 user guide, "ULog file format"; PX4-Autopilot msg/*.msg (fields, units).
 """
@@ -41,7 +41,7 @@ _TOPICS: dict[str, list[tuple[Any, ...]]] = {
         ("dead_reckoning", "?"),
     ],
 }
-"""PX4's names of the topics and of the fields that are known here."""
+"""PX4's names of the topics and fields that are written."""
 _NAMES = {"u8": "uint64_t", "f4": "float", "f8": "double", "u1": "uint8_t", "?": "bool"}
 _INFORMATION = {"sys_name": "ekf-companion", "ver_sw": __version__}
 
@@ -82,7 +82,7 @@ def _declared(name: str, code: str, shape: tuple[int, ...] = ()) -> str:
 
 
 def _records(table: Table, topic: str, number: int, known: Mask) -> Record:
-    """Return messages with stamps, their other fields zero, of the rows that are known."""
+    """Return stamped messages of the rows that are known, with the other fields zero."""
     fields = np.dtype(_TOPICS[topic])
     dtype = np.dtype([("size", "<u2"), ("kind", "u1"), ("number", "<u2"), *fields.descr])
     records = np.zeros(int(known.sum()), dtype=dtype)

@@ -33,13 +33,13 @@ WRITERS = {
     ".tum": "tum_writer",
     ".ulg": "ulog_writer",
 }
-"""The module by suffix: its class ``Writer``, imported when it is needed."""
+"""Module by suffix: its class ``Writer`` is imported when it is needed."""
 RATES = {".gpx": 5.0, ".kml": 5.0}
-"""Rows per second at most where none are asked for, Hz: of a track on a map. Otherwise all."""
+"""Default limit on the rows of a kind, Hz: of a track on a map. Other kinds have none."""
 
 
 LONGEST = 50
-"""Characters of a file's name in that of the one beside it: with more it might be too long."""
+"""Characters of a file's name that are used in a temporary name: with more it might be too long."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
@@ -47,10 +47,10 @@ class EstimateWriter:
     """A file of estimates."""
 
     points: int | None = None
-    """Of the track so far; None: this kind has none."""
+    """Points of the track so far; None: this kind has no track."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file and write what comes before the first estimate.
+        """Open the file and write its header.
 
         Raises:
             LogError: The file cannot be opened.
@@ -69,7 +69,7 @@ class EstimateWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write what comes after the last estimate, and close the file; after an error, drop it."""
+        """Write the end of the file, and close it; after an error, drop it."""
         self._stack.__exit__(kind, error, trace)
 
     def write(self, table: Table) -> None:
@@ -81,7 +81,7 @@ class EstimateWriter:
         raise NotImplementedError
 
     def refuse_times_before_zero(self, table: Table, kind: str) -> None:
-        """Refuse estimates that a kind of file, with its article, has no stamps for.
+        """Refuse estimates with stamps that a kind of file, named with its article, cannot hold.
 
         Raises:
             LogError: A time is before zero.
@@ -92,13 +92,13 @@ class EstimateWriter:
             )
 
     def finish(self) -> None:
-        """Write what comes after the last estimate."""
+        """Write the end of the file."""
 
 
 def open_writer(path: Path, label: Callable[[], Label] = Label) -> EstimateWriter:
     """Open a file by its suffix; ``-`` is CSV on the standard output.
 
-    A map alone asks for its label: to find when a log began takes a look at all of it.
+    Only formats for maps use the label: finding when a log began takes a look at all of it.
 
     Raises:
         LogError: It cannot be opened.
@@ -113,9 +113,9 @@ def open_writer(path: Path, label: Callable[[], Label] = Label) -> EstimateWrite
 
 @contextmanager
 def create(path: Path) -> Iterator[BinaryIO]:
-    """Open a file to write to; it has its name once it is complete.
+    """Open a file to write to; it gets its name once it is complete.
 
-    What is interrupted leaves nothing, and an older file of that name as it was.
+    An interrupted one leaves nothing, and an older file of that name unchanged.
 
     Raises:
         LogError: It cannot be opened, or there is no room for it.
@@ -166,7 +166,7 @@ class Thinning:
         self._slot: int | None = None
 
     def thin(self, table: Table) -> Table:
-        """Return what is kept of the next estimates."""
+        """Return the next estimates without those that are left out."""
         if self._period is None or len(table) == 0:
             return table
         slot = table.stamp_ns // self._period
@@ -182,9 +182,9 @@ def with_position(table: Table) -> Table:
 
 
 def east_north_up(table: Table) -> tuple[Array, Array]:
-    """Return positions east, north, up of the origin, m, and the attitudes from there.
+    """Return positions east, north, up of the origin, m, and attitudes in that frame.
 
-    The attitudes turn a body frame of forward, left, up into east, north, up: the frames of ROS
+    The attitudes rotate a body frame of forward, left, up into east, north, up: the frames of ROS
     REP 103, which most viewers expect. Quaternions are (w, x, y, z), shape (n, 4).
     """
     north, east, down = (table.column(name) for name in POSITION)

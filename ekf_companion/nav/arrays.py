@@ -1,4 +1,4 @@
-"""The types of arrays, two operations on masks that NumPy lacks, a median, and work in pieces."""
+"""Types of arrays, masks and runs, a fast median, and work on long series in pieces."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ PIECE = 1 << 14
 def in_pieces(
     function: Callable[..., npt.NDArray[np.float64]], *series: npt.NDArray[np.generic]
 ) -> Array:
-    """Return what a function of each row gives, called with some rows of all series at once.
+    """Apply a function of rows to long series piece by piece, and join what it returns.
 
-    Of hours, what it needs on its way would be larger than the series.
+    Over hours of samples its intermediate arrays would be larger than the series.
     """
     firsts = range(0, max(len(series[0]), 1), PIECE)
     return np.concatenate(
@@ -39,6 +39,9 @@ def known_rows(values: Array) -> Mask:
 def median(values: npt.ArrayLike) -> float:
     """Return the median of one or more numbers, none of them NaN, to the bit of ``np.median``.
 
+    ``np.median`` first imports NumPy's masked arrays: a twentieth of the time in which a program
+    starts and converts a short log.
+
     That imports the masked arrays of NumPy first: a twentieth of the time in which a program
     starts and converts a short log.
     """
@@ -49,6 +52,6 @@ def median(values: npt.ArrayLike) -> float:
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
-    """Return the first index and the one past the last of each run of true."""
+    """Return the first index of each run of true, and the index past its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]

@@ -11,7 +11,7 @@ MARGIN = 64
 
 
 class EventBuffer:
-    """Collects rows in arrays, which whoever fills them fast may write into."""
+    """Collects rows in arrays, into which a fast caller may write directly."""
 
     def __init__(self, limit: int) -> None:
         """Begin empty."""
@@ -36,7 +36,7 @@ class EventBuffer:
         return self.size >= self.limit
 
     def append(self, row: Row) -> None:
-        """Add a row; where there is no room, the arrays are replaced by larger ones."""
+        """Append a row; full arrays are replaced by larger ones."""
         if self.size == len(self.t_ns):
             room = np.empty_like(self.values)
             self.t_ns = np.concatenate([self.t_ns, np.empty_like(self.t_ns)])

@@ -32,9 +32,9 @@ STANDARD_GRAVITY = 9.80665
 
 
 def is_place(lat_deg: Any, lon_deg: Any) -> Any:
-    """Return whether a latitude and longitude can be meant: 0, 0 is said where there is none.
+    """Return whether latitude and longitude can be a position; 0, 0 is sent where there is none.
 
-    Of numbers, for one message after another, or of arrays.
+    Takes the numbers of one message, or arrays.
     """
     is_within = (abs(lat_deg) <= 90.0) & (abs(lon_deg) <= 180.0)  # and known
     return is_within & ((lat_deg != 0.0) | (lon_deg != 0.0))
@@ -89,7 +89,7 @@ class LocalFrame:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Return metres per radian of latitude and of longitude at the origin."""
+        """Return metres per radian of latitude, and of longitude, at the origin."""
         meridian, transverse = radii(self.lat)
         return (
             float(meridian) + self.alt,

@@ -1,7 +1,7 @@
-"""Events of a long recording: each kind in the columns that it has, put together part by part.
+"""Events of a long recording: each kind in its own columns, merged part by part.
 
-A row of all kinds takes 120 bytes, and an inertial sample as a log has it 32. So the columns stay
-where they are, in memory or in a file, and rows are made of those that are asked for.
+A row for any kind takes 120 bytes, an inertial sample as a log has it 32. So the columns stay where
+they are, in memory or in a file, and rows are made only when they are asked for.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class EventColumns:
         return len(self.t_ns)
 
     def take(self, index: Mask | slice) -> EventColumns:
-        """Return the events of a mask or a slice."""
+        """Return the events that a mask or a slice selects."""
         if not isinstance(index, slice) and index.all():
             return self
         kept = [column[index] if column.ndim else column for column in self.columns]
         return EventColumns(self.t_ns[index], self.kind, *kept)
 
     def rotated(self, first: int, C: Array) -> EventColumns:
-        """Return the events with three columns, from one on, multiplied by a matrix."""
+        """Return the events with three columns, from ``first`` on, multiplied by a matrix."""
         v = np.stack(self.columns[first : first + 3], axis=1).astype(np.float64)
         turned = [*self.columns[:first], *(v @ C.T).T, *self.columns[first + 3 :]]
         return EventColumns(self.t_ns, self.kind, *turned)

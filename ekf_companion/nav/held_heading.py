@@ -1,4 +1,4 @@
-"""Headings of a receiver or a compass that are no measurement."""
+"""Headings of a receiver or a compass that were not measured: 0, or the last one repeated."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ ZERO, REPEATED = "0 where there is none", "repeated"
 _HELD_NS = 1_000_000_000
 """The slowest receiver has a new one each second."""
 _NORTH = math.radians(5.0)
-"""Headings of 0 are such where others so near to it came just before."""
+"""rad; an exact 0 counts as measured where a heading nearer to north than this came just before."""
 
 
 class HeldHeading:
-    """Finds the headings of a receiver or a compass that are none, or the last one again.
+    """Finds headings of a receiver or a compass that were not measured, or repeat the last.
 
-    A receiver measures a heading less often than it speaks, and repeats the last one meanwhile, or
-    says 0. What repeats to the bit counts again once in a second, and while the vehicle holds its
-    heading; for a vehicle that turns, it is an old one.
+    A receiver measures its heading less often than it sends one; in between it repeats the last, or
+    sends 0. A heading that repeats to the bit counts once a second, and only while the vehicle may
+    have kept its heading: for a vehicle that turns it is an old one.
     """
 
     def __init__(self) -> None:
@@ -29,14 +29,14 @@ class HeldHeading:
     def judge(
         self, t_ns: int, heading: float, *, is_still: bool, is_estimate: bool = False
     ) -> str | None:
-        """Return why a heading is no measurement; None if it is one.
+        """Return why a heading is not a measurement; None if it is one.
 
         Args:
             t_ns: Its stamp.
             heading: In [-pi, pi), rad.
-            is_still: Whether the vehicle may have held its heading since it first said this one.
-            is_estimate: Whether an autopilot estimates it anew for each row: then few digits repeat
-                by chance, as often as they may.
+            is_still: Whether the vehicle may have kept its heading since this value first came.
+            is_estimate: Whether it is an autopilot's estimate, made anew for each row: its few
+                digits may repeat by chance.
         """
         if heading == 0.0 and not self._may_be_north(t_ns):
             return ZERO
@@ -50,7 +50,7 @@ class HeldHeading:
         return None
 
     def is_repeated(self, heading: float) -> bool:
-        """Return whether a heading is the last one again."""
+        """Return whether a heading equals the last one."""
         return heading == self._last
 
     def _may_be_north(self, t_ns: int) -> bool:

@@ -1,8 +1,8 @@
-"""Velocities of fixes that are none: the same number again and again, while the positions move.
+"""Velocities of fixes that were not measured: a constant one while the positions move.
 
-A receiver or a driver that knows no velocity says 0, or goes on saying its last one. A velocity in
-use has noise: it does not repeat to the bit for as long as a vehicle moves. A place that jumps
-once, and a vehicle that stands where a receiver holds its place, take no velocity away.
+A receiver or a driver without a velocity sends 0, or repeats its last one. A measured velocity has
+noise: it does not repeat to the bit while the vehicle moves. A single jump of the position, or a
+vehicle at rest whose receiver holds its position, is no reason to refuse the velocity.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from typing import NamedTuple
 from ekf_companion.nav.earth import radii
 
 FAR = 2.0
-"""m which the positions have moved otherwise than the velocity says, at ``SPEED`` or faster: more
-than the noise of a receiver in the open from one fix to the next."""
+"""Distance, m, by which the positions must differ from what the velocity implies, at ``SPEED`` or
+faster: more than the noise of a receiver in the open from one fix to the next."""
 SIGMAS = 2.0
-"""The same in sigmas of a fix, where these are larger."""
+"""The same in sigmas of a fix, where that is more."""
 SPEED = 1.0
-"""m/s; a receiver that stands wanders more slowly."""
+"""m/s: the positions of a receiver at rest wander more slowly."""
 STEPS = 3
-"""Steps in a row, from fix to fix, all to the same side: a single one is a jump."""
+"""Steps in a row, from fix to fix, all in one direction: a single one is a jump."""
 LONGEST_S = 3.0
 """A longer step is a gap, in which the velocity may have been anything."""
 ALWAYS_ZERO = "velocity always 0"
 HELD = "velocity held"
 REPEATED = "velocity repeated"
-"""Why a velocity is none; the last is so of one fix at a time."""
+"""Why a velocity was not measured; the last of these refuses single fixes."""
 MOVING = 0.3
 """m/s: faster, a velocity with noise does not repeat to the bit for ``TWICE`` in a row. In cm/s a
 single repetition is chance: 9 of 5015 fixes in three of 60 logs; two in a row came in none."""
@@ -38,13 +38,13 @@ class _Place(NamedTuple):
     pos: tuple[float, ...]
     """North and east, or up, m, of anywhere near."""
     way: tuple[float, ...]
-    """That the positions have moved otherwise than the velocity said, m."""
+    """Displacement of the positions beyond what the velocity implies, m."""
     spent: float
-    """Time in which they did, s."""
+    """Time in which it arose, s."""
 
 
 class HeldVelocity:
-    """Finds that the velocity of a receiver's fixes, or one part of it, is none."""
+    """Finds out that a receiver does not measure its velocity, or one part of it."""
 
     def __init__(self) -> None:
         """Begin without fixes."""
@@ -58,7 +58,7 @@ class HeldVelocity:
     def judge(
         self, t_ns: int, pos: tuple[float, ...], vel: tuple[float, ...], std: float
     ) -> str | None:
-        """Return why the velocity of a fix is none; None if it may be one.
+        """Return why the velocity of a fix was not measured; None if it may have been.
 
         Args:
             t_ns: Stamp of the fix.
@@ -114,7 +114,7 @@ class HeldVelocities:
         std_h: float,
         std_v: float,
     ) -> tuple[str | None, str | None]:
-        """Return why the horizontal and the vertical velocity of a fix are none, or None each.
+        """Return why horizontal and vertical velocity of a fix were not measured, or None each.
 
         Args:
             t_ns: Stamp of the fix.
@@ -146,9 +146,9 @@ class HeldVelocities:
         place: tuple[float, float, float],
         vel: tuple[float | None, float | None, float | None],
     ) -> bool:
-        """Return whether a velocity of motion is the last one again, though the place is new.
+        """Return whether a velocity of motion equals the last one at a new position.
 
-        Of a receiver that has never said another one, the positions tell.
+        A receiver that has only ever sent one velocity is judged by its positions instead.
         """
         north, east, _ = vel
         if north is None or east is None or vel[:2] != self._vel[:2]:

@@ -1,4 +1,4 @@
-"""Interpolation of a series of rows at other stamps than its own, never over a gap."""
+"""Interpolation of a series of rows at other stamps, never across a gap."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Vectors and matrices of three in plain floats.
 
-Of one vector NumPy takes ten times as long, and its BLAS gives another last bit on another board.
+NumPy takes ten times as long for a single vector, and its BLAS rounds differently on other boards.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class GnssFlag(IntFlag):
     SUSPECT = 2
     """The receiver reports jamming or spoofing."""
     SECOND = 4
-    """Of the second receiver (GPS2_RAW), which stands by for the first."""
+    """From the second receiver (GPS2_RAW), which is the fallback of the first."""
 
 
 def _row(t_ns: int, kind: Kind, *values: float | None) -> Row:
@@ -209,9 +209,10 @@ class BaroSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """Armed and landed, as the autopilot reports them: a veto for what only holds at rest.
+    """Armed and landed as the autopilot reports them: no rest is assumed against them.
 
-    And how late it takes the receiver's fixes to be, which is where the filter begins.
+    Also the delay that the autopilot assumes for the receiver's fixes, which the filter starts
+    from.
     """
 
     t_ns: int
@@ -219,14 +220,16 @@ class VehicleState:
     is_landed: bool | None = None
     """None: not known."""
     gnss_delay: float | None = None
-    """By which a fix is older than its stamp, s; None: not told."""
+    """Delay of a fix behind its stamp, s; None: not reported."""
 
     def row(self) -> Row:
-        """Return [armed, landed, whether the delay is told, delay]; landed is NaN if not known."""
+        """Return [armed, landed, whether the delay is reported, delay]; NaN: not known."""
         landed = None if self.is_landed is None else float(self.is_landed)
-        told = self.gnss_delay is not None
+        is_reported = self.gnss_delay is not None
         delay = self.gnss_delay or 0.0
-        return _row(self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(told), delay)
+        return _row(
+            self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(is_reported), delay
+        )
 
 
 Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSample | VehicleState
@@ -275,13 +278,13 @@ class Events:
 
 
 SILENT_NS = 2_000_000_000
-"""Without a fix of the first receiver for so long, that of the second counts."""
+"""After so long without a fix of the first receiver, those of the second are used."""
 
 
 def of_receiver(events: Events) -> Mask:
-    """Return which events are fixes of the receiver in use, and no autopilot's own position.
+    """Return which events are fixes of the receiver in use, not the autopilot's own position.
 
-    Those of the second receiver count where the first has none within two seconds.
+    Fixes of the second receiver count where the first has none within two seconds.
     """
     is_fix = events.kind == Kind.GNSS
     flags = np.where(is_fix, events.values[:, GNSS_FLAGS], 0.0)

@@ -1,7 +1,7 @@
-"""Metres of a sphere: how an autopilot turns latitude and longitude into its local frame.
+"""Projections by which autopilots turn latitude and longitude into metres of a local frame.
 
-Beside WGS-84 a sphere is 0.3 % off, 2 m at 600 m. Whoever counts metres on a sphere takes ours for
-a place on it: so metres that are sent to it are of its own projection.
+They use a sphere, which differs from WGS-84 by 0.3 %, 2 m at 600 m. So positions that are sent to
+an autopilot are in metres of its own projection.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Why an estimate is not OK: which of several reasons comes first, in words, and for how long.
+"""Why an estimate is not OK: the order of the reasons, their words, and how long each held.
 
 Reasons overlap: a receiver that is refused is soon one that is missing. So each second is charged
-to one reason, the foremost of those that hold in it: what is wrong comes before what follows from
-it. The seconds by reason of a status add up to the seconds of that status.
+to one reason, the foremost of those that hold in it: a cause comes before its consequences. The
+seconds by reason of a status add up to the seconds of that status.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ WORDS: Mapping[Reason, str] = {
     Reason.UNAIDED: "no GNSS is used",
     Reason.UNCERTAIN: "error beyond its limit",
 }
-"""Each reason in words, the foremost first: what is wrong before what follows from it."""
+"""Each reason in words, the foremost first: a cause before its consequences."""
 ORDER = tuple(WORDS)
 NONE = Reason(0)
 LONGEST_STEP = 5.0

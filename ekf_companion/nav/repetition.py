@@ -1,6 +1,6 @@
-"""Samples of an inertial sensor that repeat themselves: whether it is stuck, or at its range's end.
+"""Samples of an inertial sensor that repeat: whether it is stuck, or at the end of its range.
 
-Compiled, for it looks at every sample; the same file runs as plain Python.
+Compiled, since it looks at every sample; the same file runs as plain Python.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ Sample = tuple[float, float, float, float, float, float]
 """Rate, rad/s, and specific force, m/s^2, in the body."""
 
 _CHANCE = cython.declare(cython.double, math.log(1e-12))
-"""Logarithm of the probability of a run at which it is no chance: if samples were independent, one
-false alarm in some years at 250 Hz."""
+"""Logarithm of the probability below which a run is not chance: with independent samples one false
+alarm in some years at 250 Hz."""
 _MEMORY = cython.declare(cython.longlong, 2048)
 """Pairs after which the counts are halved."""
 _FEWEST = cython.declare(cython.longlong, 64)
 """Fewest pairs to conclude anything from."""
 _RATE = cython.declare(cython.double, 0.1)
-"""rad/s; no range ends so low, and no gyro has such a bias, so the sensor turns."""
+"""rad/s: no range ends so low and no gyro has such a bias, so a constant rate beyond it is the end
+of the range."""
 _FORCE = cython.declare(cython.double, 2.0)
-"""m/s^2; nor does an accelerometer's range."""
+"""m/s^2: the same for an accelerometer."""
 _LANDED_US = 5_000_000
-"""Equal samples as of standing still may come from a simulator if they last so long."""
+"""Identical samples of a vehicle at rest come from a simulator if they last so long, us."""
 
 _BEFORE_ALL_US = cython.declare(cython.longlong, -(2**62))
 """Earlier than any stamp."""
@@ -43,10 +44,10 @@ ZERO = "absent: all six numbers are zero"
 class Repetition:
     """Finds in the samples of one sensor that it is stuck, or at the end of its range.
 
-    A sensor's noise makes its readings differ. How often two in a row are equal to the bit all the
-    same is counted for each axis; a run of equal ones that is too long to be chance means that the
-    axis measures nothing any more. It is counted because whole numbers in disguise, and simulators
-    without noise, repeat themselves all the time: there no run is long enough.
+    A sensor's noise makes its readings differ. How often two in a row are equal to the bit is
+    counted for each axis: a run of equal ones that is too long for chance means that the axis no
+    longer measures. Sensors with coarse digits, and simulators without noise, repeat themselves all
+    the time: for them no run is too long.
     """
 
     def __init__(self) -> None:
@@ -61,7 +62,7 @@ class Repetition:
         self.refused: dict[str, int] = {}
 
     def judge(self, t_us: int, sample: Sample) -> str | None:
-        """Return why a sample, newer than all before, measures nothing; None if it does."""
+        """Return why a sample, newer than all before, was not measured; None if it was."""
         return self.judge_axes(t_us, *sample)
 
     def judge_axes(
@@ -103,7 +104,10 @@ class Repetition:
         return STUCK if rates == 3 or forces == 3 else LIMITED if count else None
 
     def judge_rows(self, t_ns: Stamps, values: Array) -> Mask:
-        """Judge samples in the order of their arrival; return which of them measure something.
+        """Judge samples in the order of their arrival; return which of them were measured.
+
+        A sample at the end of the range counts as measured, with a larger noise, which the filter
+        finds.
 
         One at the end of its range does, with a larger noise, which the filter finds.
 
@@ -137,7 +141,7 @@ class Repetition:
                 self.refused[why] = self.refused.get(why, 0) + 1
 
     def _count(self, axis: int, value: float) -> bool:
-        """Count whether an axis says the same again; return whether it does."""
+        """Count whether an axis repeats its last value; return whether it does."""
         if value != self._last[axis]:
             self._last[axis] = value
             self._runs[axis] = 0

@@ -1,4 +1,4 @@
-"""What is estimated: one row per inertial sample, a trajectory, an odometry message."""
+"""The estimate: one row per inertial sample, a trajectory, an ODOMETRY message."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Status(IntEnum):
 
     @property
     def words(self) -> str:
-        """The name as it is said: ``dead reckoning``."""
+        """The name in words: ``dead reckoning``."""
         return self.name.lower().replace("_", " ")
 
 
@@ -51,9 +51,9 @@ class Reason(IntFlag):
     SLOW_SAMPLES = 1 << 3
     """Inertial samples come too rarely for the attitude of a vehicle."""
     UNPROVEN = 1 << 4
-    """The attitude, or the autopilot's clock, is new, and fixes are to confirm it."""
+    """The attitude, or the autopilot's clock, is new, and fixes have not confirmed it yet."""
     AUTOPILOTS = 1 << 5
-    """The position is the autopilot's own estimate, whose errors last."""
+    """The position is the autopilot's own estimate, whose errors are correlated in time."""
     POSITION_REFUSED = 1 << 6
     """The receiver's position is refused."""
     POSITION_MISSING = 1 << 7
@@ -63,7 +63,7 @@ class Reason(IntFlag):
     POSITION_OFF = 1 << 9
     """The receiver's positions deviate to one side, each by too little to be refused."""
     SLIDE = 1 << 10
-    """The receiver's position moves otherwise than its velocity says."""
+    """The receiver's position drifts away from the integral of its velocity."""
     ATTITUDE = 1 << 11
     """The attitude is not well known."""
     HEADING_REFUSED = 1 << 12
@@ -77,15 +77,15 @@ class Reason(IntFlag):
     HEIGHT_OFF = 1 << 16
     """The receiver's heights deviate to one side."""
     CLIMB_HEIGHT = 1 << 17
-    """Of three sources of the climb the receiver's height contradicts the other two."""
+    """The receiver's height contradicts its vertical velocity and the barometer."""
     CLIMB_VELOCITY = 1 << 18
-    """Its vertical velocity does."""
+    """The receiver's vertical velocity contradicts its height and the barometer."""
     CLIMB_BARO = 1 << 19
-    """The barometer does."""
+    """The barometer contradicts the receiver's height and vertical velocity."""
     CLIMB_ANY = 1 << 20
-    """They disagree, and no two agree against the third."""
+    """Barometer, receiver's height and vertical velocity disagree; none is the odd one out."""
     FALL = 1 << 21
-    """The inertial samples deny the vertical velocity, and no barometer confirms it."""
+    """The inertial samples contradict the vertical velocity, and no barometer confirms it."""
     COMPASS_REFUSED = 1 << 22
     """The compass, whose heading is in use, is refused."""
     COMPASS_MISSING = 1 << 23
@@ -182,5 +182,5 @@ class Odometry(NamedTuple):
     quality: int
     """-1 failed, 0 not known, 1 to 100 per cent."""
     relative: bytes | None = None
-    """21 floats of 32 bits that may take the place of the first covariance: apart from the slow
-    error of the receiver's position, which is the same for minutes. None: not known."""
+    """21 floats of 32 bits that may replace the first covariance: without the slow error of the
+    receiver's position, which is constant for minutes. None: not known."""

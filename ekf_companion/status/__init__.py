@@ -1,5 +1,5 @@
-"""What the daemon knows of itself: one Snapshot, and its verdict, metrics and JSON.
+"""The daemon's state: one Snapshot, and the verdict, metrics and JSON made from it.
 
-Whoever reports the daemon's state (status, metrics, doctor, tests) reads it here; nothing here acts
-on the estimator.
+Whatever reports the daemon's state (status, metrics, doctor, tests) reads it here; nothing here
+acts on the estimator.
 """

@@ -1,6 +1,6 @@
-"""Watch which source each aid comes from, since when, why one is refused; and the drift at rest.
+"""Source of each aid, since when, and why one is refused; and the attitude's drift at rest.
 
-Called twice a second: what became of an aid in between is known from its counts.
+Called twice a second; the counts show what became of an aid in between.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from ekf_companion.status.vehicle import NO_DRIFT, AidState, Drift
 _log = logging.getLogger(__name__)
 
 LAPSE_NS = 3 * SECOND_NS
-"""An aid that was not used for so long is used no more: a slow receiver has one fix a second, and
-what is refused once is no news."""
+"""An aid that was not used for so long counts as lost: a slow receiver has one fix a second, and a
+single refusal is not worth reporting."""
 PAUSE_NS = 60 * SECOND_NS
-"""Without a refusal, after which the next one is news to the log."""
+"""Time without a refusal after which the next one is logged again."""
 REST_SPAN_NS = 20 * SECOND_NS
-"""Of the rest over which the attitude is looked at."""
+"""Length of rest over which the attitude is compared."""
 SETTLED_NS = 5 * SECOND_NS
 """After an alignment the first fixes and the learning of the biases move the attitude."""
 
@@ -47,12 +47,12 @@ _NO_FIELD = "mag: no field of the Earth"
 
 @dataclass(slots=True)
 class _Watched:
-    """What is known of one aid."""
+    """State of one aid."""
 
     used: float
-    """How often it was."""
+    """How often it was used."""
     refused: Mapping[Verdict, int]
-    """How often, by why."""
+    """How often it was refused, by reason."""
     source: str = ""
     since_ns: int = 0
     used_ns: int | None = None
@@ -73,7 +73,7 @@ class AidWatch:
         """Source of the azimuth and number of resets."""
 
     def update(self, pipeline: Pipeline, session: Session, now_ns: int) -> None:
-        """Note what has become of the aids since the last call, and the attitude."""
+        """Update the aids from the counts since the last call, and the attitude."""
         x = pipeline.filter_state
         is_autopilots, ranks = bool(x.fix_t > x.raw_fix_t), session.decoder.ranks
         sources = sources_of(
@@ -151,7 +151,7 @@ def _refuse(one: _Watched, why: Verdict, now_ns: int) -> None:
     """Note that an aid was refused; of a compass, log where that begins."""
     is_first = one.refused_ns is None or now_ns - one.refused_ns > PAUSE_NS
     if why is Verdict.DISTURBED and (is_first or one.why != _WHY[why]):
-        _log.info("Compass refused, now or now and then: %s; counted as disturbed", _WHY[why])
+        _log.info("Compass refused, always or at times: %s; counted as disturbed", _WHY[why])
     one.refused_ns, one.why = now_ns, _WHY[why]
 
 
@@ -174,7 +174,7 @@ def _state(one: _Watched, now_ns: int) -> AidState:
 def sources_of(
     azimuth: int, *, is_autopilots: bool, ranks: tuple[int, ...], receiver: int
 ) -> dict[Aid, str]:
-    """Return where each aid comes from, by the ranks of the sources and the receiver in use."""
+    """Return the source of each aid, by the ranks of the sources and the receiver in use."""
     _, mag, baro, azimuth_rank = ranks
     fixes = "GPS2_RAW" if receiver else "GPS_RAW_INT"
     position = "GLOBAL_POSITION_INT, the autopilot's own" if is_autopilots else fixes

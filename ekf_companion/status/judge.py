@@ -1,4 +1,4 @@
-"""Judge by a snapshot whether the daemon does its work, in one line; and write all of it as JSON.
+"""Whether the daemon does its work, by a snapshot, in one line; and the snapshot as JSON.
 
 The line is the same for ``/healthz``, the status and the service manager.
 """
@@ -18,31 +18,32 @@ from ekf_companion.status.lacking import lacking
 from ekf_companion.status.snapshot import LinkState, Snapshot
 
 BARREN_S = 3.0
-"""Samples for so long without an estimate: the filter is stuck, and only a restart helps."""
+"""After so long with samples and without an estimate the filter is stuck, and only a restart
+helps."""
 STALL_S = 2.0
 """The filter's task runs at least ten times a second."""
 SILENCE_S = 2.0
-"""A link without a byte for so long is silent: heartbeats come once a second."""
+"""After so long without a byte a link is silent: heartbeats come once a second."""
 OLD_S = 1.0
-"""An estimate whose newest inertial sample is older is none of now: samples come 50 times a second
-or more. The page (page/live.js), preflight and status go by the same."""
+"""An estimate whose newest inertial sample is older is out of date: samples come 50 times a second
+or more. The page (page/live.js), preflight and status use the same limit."""
 MANY_UNSENT = 0.5
-"""Hz of ODOMETRY that the link throws away; one now and then is no fault."""
+"""Rate of dropped ODOMETRY, Hz, that is reported; one now and then is normal."""
 
 
 class HealthCheck(NamedTuple):
     """Whether the daemon does its work."""
 
     is_healthy: bool
-    """Whether a restart would change nothing for the better, and the estimate may be used."""
+    """Whether the estimate may be used and a restart would not improve anything."""
     line: str
     """The state, and where something is wrong, the remedy."""
     is_ok: bool = False
-    """Whether it also has what it needs: an estimate of now comes of what it hears."""
+    """Whether it also has what it needs: its input gives a current estimate."""
 
 
 def judge(snapshot: Snapshot) -> HealthCheck:
-    """Return whether the filter runs and can be used; missing input is not ok, and no fault."""
+    """Return whether the filter runs and can be used; missing input is not ok, but no fault."""
     stuck_s, health = snapshot.process.tick_age_s, snapshot.estimator
     if stuck_s > STALL_S:
         return HealthCheck(False, f"stalled: the filter's task has not run for {stuck_s:.1f} s")
@@ -107,7 +108,7 @@ def _odometry(snapshot: Snapshot) -> str:
 
 
 def _thrown_away(snapshot: Snapshot) -> str:
-    """Return how many ODOMETRY do not go out, and who holds them up; empty: none or few."""
+    """Return how many ODOMETRY are dropped, and why; empty: none or few."""
     output, text = snapshot.output, ""
     if output.unsent_rate >= MANY_UNSENT:
         remedy = "lower output.odometry.rate"
@@ -129,7 +130,7 @@ def _thrown_away(snapshot: Snapshot) -> str:
 
 
 def missing_input(snapshot: Snapshot) -> str:
-    """Return what has not come for too long, beginning at the wire: the rest follows from that."""
+    """Return which input is missing, beginning at the wire: the rest follows from that."""
     link, peer = snapshot.link, snapshot.peer
     if not link.is_open:
         if not link.opened and not link.failure:
@@ -181,7 +182,7 @@ def to_plain(value: Any) -> Any:
 
 
 def to_json(snapshot: Snapshot, pause: Callable[[], None] = lambda: None) -> bytes:
-    """Return a snapshot, and its check as ``health``, as JSON; null is what is not known.
+    """Return a snapshot, and its check as ``health``, as JSON; null: not known.
 
     ``pause`` is called between two stages: it lets other threads run while the text is made.
     """

@@ -1,4 +1,4 @@
-"""Name what keeps an estimate from having a position, with the remedy."""
+"""Why an estimate has no position yet, with the remedy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ekf_companion.engine.health import Health
 from ekf_companion.nav.measurements import Kind
 
 _FEW_FIELDS = 10
-"""Different readings of a magnetometer that works, at 10 Hz and more, come within a second."""
+"""A working magnetometer of 10 Hz or more gives so many different readings within a second."""
 _SIMULATOR = "in ArduPilot's simulator set SIM_MAG_RND 5"
 
 

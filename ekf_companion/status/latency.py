@@ -10,7 +10,7 @@ BUCKETS_MS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 class Latency:
-    """Histogram of the time from a read to when the link has taken the estimate."""
+    """Histogram of the time from the read of a sample until the link has taken the estimate."""
 
     def __init__(self) -> None:
         self._bounds_ns = [round(bound * 1e6) for bound in BUCKETS_MS]

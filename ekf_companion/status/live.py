@@ -1,6 +1,6 @@
-"""What changes many times a second, for a page that is watched: the estimate and its tests.
+"""The part of the state that changes many times a second, for the page: estimate and tests.
 
-It is taken in the loop, so it is little; the rest of the page is the Snapshot, once a second.
+It is read in the loop, so it is small; the rest of the page is the Snapshot, once a second.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ class Live:
     gyro_bias_deg_s: tuple[float, ...]
     accel_bias_m_s2: tuple[float, ...]
     ratios: Mapping[str, float]
-    """Last normalised innovation squared over its gate, by aid: above 1 it was refused. One that
-    other evidence denies is refused whatever its ratio is."""
+    """Last normalised innovation squared over its gate, by aid: above 1 it was refused. An aid that
+    other evidence contradicts is refused at any ratio."""
     nis: Mapping[str, float]
     """Mean normalised innovation squared over its degrees of freedom, of 20 s, by aid."""
     resets: int
-    """How often the estimate was reset: then its track jumps."""
+    """How often the estimate was reset: its track jumps there."""
     autopilot: AutopilotState | None
-    """The autopilot's own attitude and position; None: it has told none."""
+    """The autopilot's own attitude and position; None: none has come."""
 
 
 def live(companion: Companion, age_s: float, nis: Mapping[Aid, float], now_ns: int) -> bytes:

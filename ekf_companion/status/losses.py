@@ -1,4 +1,4 @@
-"""Why ODOMETRY did not go out: the link had no room, this board had no time, or it came late."""
+"""Why ODOMETRY was not sent: a full link, a stalled loop, or samples that came late."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from ekf_companion.link.backlog import FRESH_NS
 
 
 class Mark(NamedTuple):
-    """What was counted until one moment, and the loop's lag since the moment before."""
+    """Counters at one moment, and the loop's longest delay since the mark before."""
 
     unsent: int
-    """ODOMETRY that did not go out, for any reason."""
+    """ODOMETRY that was not sent, for any reason."""
     stale: int
-    """Of these, such as were too old when they could be sent."""
+    """Of these, those that were too old when they could be sent."""
     lag_ns: int
-    """The longest wait of the loop since the mark before."""
+    """Longest delay of the loop since the mark before."""
 
 
 class Losses(NamedTuple):
-    """ODOMETRY that did not go out, by who held it up."""
+    """ODOMETRY that was not sent, by cause."""
 
     link: int
-    """The link took no more."""
+    """The link had no room."""
     board: int
-    """The loop was held up for as long as a message may wait."""
+    """The loop stalled for longer than a message may wait."""
     late: int
-    """The samples had come too late, while the loop ran."""
+    """The samples came too late, while the loop ran."""
 
 
 def apportion(marks: Sequence[Mark]) -> Losses:
-    """Return what was lost between the first mark and the last, by its cause.
+    """Return the losses between the first mark and the last, by cause.
 
-    A loop that is held up for as long as a message may wait for room explains by itself all that is
-    lost in that half second. The wait is noted when the loop goes on, which can be a mark before
-    the loss or a mark after it.
+    A loop that stalls for longer than a message may wait explains all that is lost in that half
+    second. The stall is noted when the loop runs again, which can be a mark before the loss or a
+    mark after it.
     """
     link = board = late = 0
     for place in range(1, len(marks)):

@@ -17,7 +17,7 @@ class Metric:
     """Without prefix and ``_total``, in base units: prometheus.io/docs/practices/naming."""
     help: str
     labels: tuple[str, ...] = ()
-    """Of the rows. Of a field that is a single row of several, with its value: ``axis=north``."""
+    """Labels of the rows; for a field that is one row of several with its value: ``axis=north``."""
     scale: float = 1.0
     """Base units in one unit of the field."""
     rows: Callable[[Any], Any] = lambda value: value

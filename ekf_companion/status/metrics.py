@@ -1,6 +1,6 @@
-"""The Snapshot as Prometheus metrics: a walk over the metrics that its fields declare.
+"""The Snapshot as Prometheus metrics, as the fields declare them.
 
-What is not known has no row.
+A value that is not known has no row.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ HEALTH = {
     "gyro_noise": gauge("gyro_noise", "Learnt, rad/s per square root of Hz."),
     "accel_noise": gauge("accel_noise", "Learnt, m/s^2 per square root of Hz."),
 }
-"""Metrics of the filter's own account, whose fields are the engine's and know nothing of them."""
+"""Metrics of the filter's health, whose fields belong to the engine and declare none."""
 
 
 Path = tuple[str, ...]
@@ -145,7 +145,7 @@ class _Collector(Collector):
             self._pause()
 
     def describe(self) -> list[Family]:
-        """Return no names in advance: a test checks them, not each scrape."""
+        """Return no names in advance: tests check them, not each scrape."""
         return []
 
 
@@ -179,7 +179,7 @@ def _family(members: list[tuple[Metric, Path]], snapshot: Snapshot) -> Family:
 
 
 def _reach(value: Any, path: Path, keys: tuple[Any, ...] = ()) -> Iterator[tuple[Any, Any]]:
-    """Yield what stands at the end of a path, with the keys of the mappings on the way."""
+    """Yield the values at the end of a path, with the keys of the mappings on the way."""
     if not path:
         yield keys, value
     elif isinstance(value, Mapping):

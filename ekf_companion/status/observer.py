@@ -1,8 +1,8 @@
-"""Count what the daemon does as it runs, cheaply, and put a Snapshot together on request.
+"""Counts what the daemon does as it runs, cheaply, and makes a Snapshot on request.
 
 The loop pays for one clock reading and one comparison per round, one call and one search in twelve
-bounds per ODOMETRY, and twice a second a copy of the counters, from which the rates over the last
-five seconds follow. An ODOMETRY counts as sent when the link has taken it.
+bounds per ODOMETRY, and twice a second a copy of the counters, which give the rates over the last
+five seconds. An ODOMETRY counts as sent when the link has taken it.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class RecentNis:
         """When, ns, and by aid the sums of the squared innovations, and how many they are of."""
 
     def update(self, pipeline: Pipeline, now_ns: int) -> None:
-        """Keep the sums of this moment; call it every second or two."""
+        """Store the sums of this moment; call it every second or two."""
         if pipeline is not self._pipeline:
             self._pipeline = pipeline
             self._history.clear()
@@ -93,7 +93,7 @@ _PAUSE_NS = 2 * SECOND_NS
 
 
 class Progress:
-    """Compares the samples that the filter takes with its estimates, every half second."""
+    """Compares samples taken with estimates made, every half second."""
 
     def __init__(self) -> None:
         self._stamp_ns = 0
@@ -114,7 +114,7 @@ class Progress:
         self._stamp_ns, self._given = stamp_ns, given
 
     def barren_s(self, now_ns: int) -> float:
-        """Return for how long samples have come without an estimate, s; 0 if none do."""
+        """Return for how long samples have come without an estimate, s; 0: not the case."""
         if self._since_ns is None or now_ns - self._given_ns > _PAUSE_NS:
             return 0.0
         return (self._given_ns - self._since_ns) * 1e-9
@@ -123,9 +123,9 @@ class Progress:
 _log = logging.getLogger(__name__)
 
 PERIOD_NS = SECOND_NS // 2
-"""Between two copies of the counters."""
+"""Time between two copies of the counters."""
 _COPIES = 11
-"""Kept: they span five seconds."""
+"""Copies kept: they span five seconds."""
 _ODOMETRY = "ODOMETRY"
 
 
@@ -139,7 +139,7 @@ class _Counters:
     odometries: int
     """ODOMETRY messages that the link took."""
     losses: Mark
-    """ODOMETRY messages that did not go out, and the longest wait since the copy before."""
+    """ODOMETRY that was not sent, and the longest delay of the loop since the copy before."""
 
     def rate(self, count: float, first: _Counters) -> float:
         """Return a count since then as a rate, Hz; 0 if no time has passed."""
@@ -265,7 +265,7 @@ class Observer:
             self._stamp_ns, self._sampled_ns = pipeline.stamp_ns, now_ns
 
     def _count_resets(self) -> None:
-        """Count the resets of this run; two that follow from one read have one reason."""
+        """Count the resets of this run; two that follow from one read share their reason."""
         pipeline = self._companion.pipeline
         if pipeline is None:
             return
@@ -279,12 +279,12 @@ class Observer:
     # On request
 
     def health_line(self) -> str:
-        """Return the line of ``/healthz``; empty after a bug here, which must stop no flight."""
+        """Return the line of ``/healthz``; empty after a bug here, which must not stop a flight."""
         try:
             return judge(self.snapshot(Host())).line
         except Exception:  # noqa: BLE001  # as for a page
             if not self._has_complained:
-                _log.exception("The service manager cannot be told the state")
+                _log.exception("The state cannot be sent to the service manager")
             self._has_complained = True
             return ""
 

@@ -1,4 +1,4 @@
-"""The estimates of the last two minutes, for a page that opens: one a second, whoever watches."""
+"""The estimates of the last two minutes, one a second, for a page that is opened."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 _log = logging.getLogger(__name__)
 
 KEPT = 120
-"""How many: 0.2 MB."""
+"""Number of estimates: 0.2 MB."""
 
 
 class Past:
-    """Keeps the newest estimate of each second, as the page takes it."""
+    """Keeps one estimate a second, in the form that the page takes."""
 
     def __init__(self) -> None:
         self._kept: deque[tuple[int, bytes]] = deque(maxlen=KEPT)
         self._has_complained = False
 
     def keep(self, now_ns: int, make: Callable[[], bytes]) -> None:
-        """Keep what ``make`` returns, unless that of less than a second ago is kept."""
+        """Store what ``make`` returns, unless one of less than a second ago is stored."""
         if self._kept and now_ns - self._kept[-1][0] < SECOND_NS:
             return
         try:
             text = make()
         except Exception:  # noqa: BLE001  # a bug in what a page shows must not end a flight
             if not self._has_complained:
-                _log.exception("The page cannot be told the past")
+                _log.exception("The past cannot be sent to the page")
             self._has_complained, text = True, b"null"
         self._kept.append((now_ns, text))
 

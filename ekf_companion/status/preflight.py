@@ -1,8 +1,8 @@
-"""Judge by a snapshot whether the vehicle may take off on the estimate, and say why not.
+"""Whether the vehicle may take off on the estimate, by a snapshot, and why not.
 
-The estimate is compared with what it says of its own error, and with the autopilot's own attitude
-and position. A difference counts beyond three sigmas of both sides, and beyond a floor that has a
-reason; an answer of the autopilot that is older than a second is compared with nothing.
+The estimate is compared with its own sigmas, and with the autopilot's own attitude and position. A
+difference counts beyond three sigmas of both sides, and beyond a floor that has a reason. Values of
+the autopilot that are older than a second are not compared.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ekf_companion.status.snapshot import Snapshot
 from ekf_companion.status.vehicle import AidState, AutopilotState, Preflight, VehicleEstimate
 
 OLDEST_S = 1.0
-"""Age of an answer of the autopilot beyond which nothing is compared."""
+"""Age of a value of the autopilot beyond which nothing is compared."""
 SIGMAS = 3.0
 AUTOPILOT_LEVEL_STD = 1.2
 """One sigma of the autopilot's roll and pitch, deg: of the 0.2 m/s2 of accelerometer bias that EKF2
@@ -29,9 +29,9 @@ AUTOPILOT_HEADING_STD = 5.0
 AUTOPILOT_VELOCITY_STD = 0.3
 """One sigma of its velocity, m/s: as of a receiver that states none."""
 POSITION_FLOOR = 5.0
-"""m: two filters of one receiver, whose slow error of metres they follow at their own pace."""
+"""m: two filters of one receiver follow its slow error of metres at different rates."""
 HEIGHT_FLOOR = 10.0
-"""m: the autopilot's height may be by barometer since its start, which walks 3 m (one sigma) in an
+"""m: the autopilot's height may come from its barometer, which drifts by 3 m (one sigma) in an
 hour."""
 VELOCITY_FLOOR = 1.0
 """m/s: three times ``AUTOPILOT_VELOCITY_STD``, rounded up."""
@@ -40,35 +40,35 @@ LARGEST_HORIZONTAL_STD = 5.0
 LARGEST_HEADING_STD = 10.0
 """One sigma, deg: beyond, the status is degraded."""
 LARGEST_LEVEL_STD = 5.0
-"""One sigma of roll and pitch, deg: a hover that is level by them runs off at 0.9 m/s2."""
+"""One sigma of roll and pitch, deg: a hover that is level by them accelerates by 0.9 m/s2."""
 LEANING, UPSIDE_DOWN = 45.0, 120.0
-"""Angles from the vertical, deg: beyond the first nothing arms (ArduPilot's largest lean), beyond
-the second nothing stands."""
+"""Angles from the vertical, deg: beyond the first no autopilot arms (ArduPilot's largest lean
+angle), beyond the second the vehicle cannot be standing."""
 LEVEL_DRIFT = 0.5
-"""Change of roll or pitch at rest, deg: to that the autopilots' level calibrations hold."""
+"""Change of roll or pitch at rest, deg: the accuracy of the autopilots' level calibrations."""
 HEADING_DRIFT = 5.0
-"""Likewise of the heading, deg: one sigma of a calibrated compass."""
+"""Change of heading at rest, deg: one sigma of a calibrated compass."""
 SETTLING_S = 10.0
-"""Use of an aid without a break before it is relied on: what EKF2 wants too (EKF2_REQ_GPS_H)."""
+"""Time for which an aid must be in use without a break; EKF2 asks for the same (EKF2_REQ_GPS_H)."""
 LEAST_REST_S = 4.0
-"""Rest over which a drift is judged."""
+"""Shortest rest over which a drift is judged."""
 _HEADING_UNSURE = "heading is known to {:.0f} deg only"
 ARMED = "armed"
-"""Cause of a vehicle that is past the question: its verdict begins with that, not with ready."""
+"""Cause of a vehicle that is armed already: its verdict begins with that, not with ready."""
 UNJUDGED = Preflight(ready=False, sentence="", reasons=())
-"""Stands for the verdict on a snapshot that it was not asked of yet."""
+"""Placeholder in a snapshot whose verdict was not computed yet."""
 
 
 class Reason(NamedTuple):
-    """Something that speaks against a take-off."""
+    """Something that prevents a take-off."""
 
     cause: str
-    """In a word or two that do not change, for alerts."""
+    """The reason in a word or two that do not change, for alerts."""
     words: str
 
 
 def check(snapshot: Snapshot) -> Preflight:
-    """Return whether the vehicle may take off, and what speaks against it."""
+    """Return whether the vehicle may take off, and why not."""
     reasons = list(_of_vehicle(snapshot)) + list(_of_input(snapshot))
     notes: list[str] = []
     if all(reason.cause == ARMED for reason in reasons) and snapshot.estimator is not None:
@@ -113,7 +113,7 @@ def _of_vehicle(snapshot: Snapshot) -> Iterator[Reason]:
 
 
 def _of_input(snapshot: Snapshot) -> Iterator[Reason]:
-    """Find what is missing for any estimate of now: the rest follows from it."""
+    """Find missing input, without which there is no current estimate."""
     finding = judge(snapshot)
     if not finding.is_healthy:
         yield Reason("unhealthy", finding.line)
@@ -126,7 +126,7 @@ def _of_input(snapshot: Snapshot) -> Iterator[Reason]:
 
 
 def _of_estimate(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
-    """Judge position, heading, level by their aids and by their own sigmas."""
+    """Judge position, heading and level by their aids and their own sigmas."""
     vehicle = snapshot.vehicle
     if vehicle.needs_fix:
         yield from _of_fix(snapshot, health)
@@ -163,7 +163,7 @@ def _of_fix(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
 
 
 def _why_no_fix(snapshot: Snapshot) -> str:
-    """Return what of the receiver is missing, after a colon; empty: nothing of it."""
+    """Return what is missing of the receiver, after a colon; empty: nothing."""
     message = snapshot.messages.get("GPS_RAW_INT")
     if message is None or message.rate == 0.0:
         return ": no GPS_RAW_INT comes"
@@ -199,12 +199,12 @@ def _of_heading(vehicle: VehicleEstimate) -> Iterator[Reason]:
 
 
 def _is_field_refused(aid: AidState) -> bool:
-    """Whether the magnetometer is refused now, whatever is used in its place."""
+    """Whether the magnetometer is refused now, even if another heading replaces it."""
     return aid.refused_s <= OLDEST_S and "magnetic" in aid.why
 
 
 def _of_attitude(snapshot: Snapshot) -> Iterator[Reason | str]:
-    """Compare with the autopilot's attitude, and judge whether the vehicle stands upright."""
+    """Compare with the autopilot's attitude, and check that the vehicle is upright."""
     vehicle = snapshot.vehicle
     if not (snapshot.peer is not None and snapshot.peer.is_armed):
         yield from _of_mounting(vehicle)
@@ -256,7 +256,7 @@ def _down(roll_deg: float, pitch_deg: float) -> tuple[float, float, float]:
 
 
 def _level_difference(vehicle: VehicleEstimate, other: AutopilotState) -> float:
-    """Return the angle between both sides' directions down, deg."""
+    """Return the angle between the two directions down, deg."""
     ours = _down(vehicle.roll_deg, vehicle.pitch_deg)
     theirs = _down(other.roll_deg, other.pitch_deg)
     cosine = sum(a * b for a, b in zip(ours, theirs, strict=True))
@@ -306,7 +306,7 @@ def _known(value: float, otherwise: float) -> float:
 
 
 def _distance(vehicle: VehicleEstimate, other: AutopilotState) -> float:
-    """Return the horizontal distance of both positions, m, as on a sphere."""
+    """Return the horizontal distance of the two positions, m, as on a sphere."""
     lat = math.radians(vehicle.lat_deg)
     north = math.radians(vehicle.lat_deg - other.lat_deg)
     east = math.radians((vehicle.lon_deg - other.lon_deg + 180.0) % 360.0 - 180.0) * math.cos(lat)
@@ -314,7 +314,7 @@ def _distance(vehicle: VehicleEstimate, other: AutopilotState) -> float:
 
 
 def _of_rest(snapshot: Snapshot) -> Iterator[Reason]:
-    """Judge how the attitude has changed while the vehicle stood."""
+    """Judge how the attitude has changed while the vehicle was at rest."""
     vehicle, drift = snapshot.vehicle, snapshot.vehicle.drift
     if drift.seconds < LEAST_REST_S or (snapshot.peer is not None and snapshot.peer.is_armed):
         return
@@ -338,7 +338,7 @@ def _of_beginning(vehicle: VehicleEstimate) -> Iterator[Reason]:
 
 
 def _of_output(snapshot: Snapshot) -> Iterator[Reason]:
-    """Find an autopilot that flies on our ODOMETRY and gets none."""
+    """Find an autopilot that flies on our ODOMETRY and receives none."""
     output, other = snapshot.output, snapshot.vehicle.autopilot
     if other is not None and other.is_position_ours and not output.is_streaming:
         why = output.silence or output.reason
@@ -347,7 +347,7 @@ def _of_output(snapshot: Snapshot) -> Iterator[Reason]:
 
 
 def _remarks(snapshot: Snapshot) -> Iterator[str]:
-    """Find what is good to know, and speaks against no take-off."""
+    """Find what is worth knowing, but prevents no take-off."""
     health, output, vehicle = snapshot.estimator, snapshot.output, snapshot.vehicle
     std = vehicle.sigma.heading_deg
     if std > LARGEST_HEADING_STD and math.isnan(vehicle.lat_deg) and not vehicle.needs_fix:

@@ -1,9 +1,9 @@
-"""One account of everything: what the status, the metrics, the doctor and the tests read.
+"""One record of everything: what the status, the metrics, the doctor and the tests read.
 
-The stages are those that a measurement passes: bytes, frames, their checks, whose they are, what
-they are and how often they come, what time they say, what the filter made of them, what was sent,
-and what the autopilot does with that. A field that Prometheus scrapes carries its metric; the
-metric's help describes the field, and a string below adds what the help leaves open.
+The stages are those that a measurement passes: bytes, frames, their checks, their senders, messages
+and their rates, the autopilot's clock, the filter, what is sent, and what the autopilot does with
+it. A field that Prometheus scrapes carries its metric; the metric's help describes the field, and a
+string below adds what the help leaves open.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _latency(process: ProcessState) -> tuple[dict[str, float], float]:
 
 
 def _statuses(health: Health | None) -> dict[Status, bool]:
-    """Return which status holds; before anything is estimated, INIT does."""
+    """Return the status that holds; before anything is estimated, INIT."""
     now = Status.INIT if health is None else health.status
     return {status: status is now for status in Status}
 
@@ -86,18 +86,18 @@ class LinkState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameState:
-    """What the bytes were."""
+    """Frames found in the bytes."""
 
     frames: Annotated[int, counter("frames", "MAVLink frames with a right checksum.")]
     bad_crc: Annotated[int, counter(*_FRAME_ERRORS, ("reason=bad_crc",))]
     """Their checksum is wrong."""
     unknown_id: Annotated[int, counter(*_FRAME_ERRORS, ("reason=unknown_id",))]
-    """Their message is not one that we know."""
+    """Messages with an id that we do not know."""
     incompatible: Annotated[int, counter(*_FRAME_ERRORS, ("reason=incompatible",))]
-    """They have flags that we do not know."""
+    """Frames with flags that we do not know."""
     junk_bytes: Annotated[int, counter("junk_bytes", "Bytes of no known frame.")]
     lost: Annotated[int, counter("frames_lost", "The autopilot's that never came.")]
-    """By its sequence numbers, as the two that follow."""
+    """By gaps in the sequence numbers, as the two that follow."""
     late: Annotated[int, counter("frames_late", "Came after their successors.")]
     duplicates: Annotated[int, counter("frames_duplicate", "Came twice in a row.")] = 0
     again: Annotated[
@@ -108,11 +108,11 @@ class FrameState:
     ] = 0.0
     signed: Annotated[int, counter("frames_signed", "With a signature that was right.")]
     refused: Annotated[Mapping[str, int], counter("frames_refused", "Not admitted.", ("reason",))]
-    """By reason: ids that may not speak, signatures."""
+    """By reason: ids that are not allowed, signatures."""
     ignored: Annotated[
         Mapping[str, int], counter("frames_ignored", "Not the autopilot's.", ("reason",))
     ] = field(default_factory=dict)
-    """By whose they are: another's, or our own."""
+    """By sender: other systems, or ourselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +124,7 @@ class PeerState:
     family: Annotated[str, info(*_AUTOPILOT, ("family",))]
     """``px4``, ``ardupilot`` or ``unknown``."""
     version: Annotated[str, info(*_AUTOPILOT, ("version",))]
-    """Of its firmware, as in ``1.16.0``; empty: not told."""
+    """Version of its firmware, as in ``1.16.0``; empty: not reported."""
     is_heard: bool
     """Whether its heartbeat came in the last five seconds."""
     silent_s: Annotated[float, gauge("autopilot_silent_seconds", "Since its last heartbeat.")]
@@ -134,12 +134,12 @@ class PeerState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MessageState:
-    """One message of the autopilot's."""
+    """One message of the autopilot."""
 
     count: Annotated[int, counter("messages_received", "The autopilot's.", ("message",))]
     """How many have come."""
     rate: Annotated[float, gauge("message_rate_hertz", "Over the last five seconds.", ("message",))]
-    """0: it comes no more."""
+    """0: it has stopped."""
     asked: Annotated[
         float,
         gauge(
@@ -149,9 +149,9 @@ class MessageState:
             rows=_unless_zero,
         ),
     ]
-    """0: nobody asked."""
+    """0: not requested."""
     answer: str
-    """To the request; empty: none was made."""
+    """Answer to the request; empty: none was made."""
     cause: Annotated[
         str,
         gauge(
@@ -161,8 +161,8 @@ class MessageState:
             rows=_is_said,
         ),
     ] = ""
-    """Why it probably comes so rarely, however often it is asked for, and what to change; empty:
-    it comes, or there is hope."""
+    """Why it probably comes so rarely although it is requested, and what to change; empty: it
+    comes, or still may."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +170,7 @@ class ImuState:
     """Where the inertial samples come from."""
 
     message: Annotated[str, info(*_INERTIAL_SOURCE, ("message",))]
-    """``HIGHRES_IMU``, or what is taken in its place."""
+    """``HIGHRES_IMU``, or the message used instead."""
     instance: Annotated[int, info(*_INERTIAL_SOURCE, ("instance",))]
     """The sensor in use, as HIGHRES_IMU numbers them."""
     rate: float
@@ -185,10 +185,10 @@ class TimeState:
     """The autopilot's clock."""
 
     base: str
-    """``boot``, ``unix`` or ``unknown``: what the inertial messages count from."""
+    """``boot``, ``unix`` or ``unknown``: the origin of the inertial messages' stamps."""
     is_locked: Annotated[bool, gauge("timesync_locked", "1 while the clocks' offset is known.")]
     trouble: str = ""
-    """Why it is not; empty: it is, or there is hope."""
+    """Why the clocks are not locked; empty: they are, or still may."""
     offset_s: Annotated[float, gauge("clock_offset_seconds", "The autopilot's clock less ours.")]
     """NaN until locked."""
     skew_ppm: Annotated[
@@ -207,7 +207,7 @@ class TimeState:
             scale=1e-6,
         ),
     ] = math.nan
-    """Of the believed answers; NaN: too few."""
+    """Of the answers used; NaN: too few."""
     answers: Annotated[int, counter("timesync_answers", "Good ones.")]
     """Answers to our questions."""
     refused: Annotated[
@@ -217,7 +217,7 @@ class TimeState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputState:
-    """What was sent, and what becomes of it."""
+    """What is sent, and what becomes of it."""
 
     mode: Annotated[str, info(*_OUTPUT, ("mode",))]
     """``auto``, ``always`` or ``never``."""
@@ -228,17 +228,18 @@ class OutputState:
         bool, gauge("odometry_allowed", "1 while the guard lets ODOMETRY be sent.")
     ] = True
     is_settled: bool = True
-    """Whether the verdict rests on all that decides, answered or asked for in vain."""
+    """Whether the guard's verdict is final: all that it depends on was answered, or asked for in
+    vain."""
     is_clash: Annotated[bool, gauge("id_clash", "1 while somebody else speaks under our ids.")] = (
         False
     )
     reason: Annotated[str, info(*_OUTPUT, ("reason",))]
-    """Of the guard's verdict."""
+    """Reason of the guard's verdict."""
     silence: str = ""
-    """Why nothing is sent of the estimate that is there, as after long dead reckoning; empty: it
-    is sent, or the guard withholds it."""
+    """Why nothing is sent although there is an estimate, as after long dead reckoning; empty: it is
+    sent, or the guard withholds it."""
     remedy: Annotated[str, info(*_OUTPUT, ("remedy",))]
-    """The parameter to change; empty: nothing need be."""
+    """The parameter to change; empty: none."""
     parameters: Annotated[
         Mapping[str, float],
         gauge("guard_parameter", "The autopilot's that decide, as read.", ("parameter",)),
@@ -251,11 +252,11 @@ class OutputState:
         int, counter("odometry_unsent", "Found no link, too slow a one, or was too old.")
     ] = 0
     unsent_rate: float = 0.0
-    """Of these over the last seconds, Hz: such as the link had no room for."""
+    """Rate of ODOMETRY not sent over the last seconds, Hz: the link had no room."""
     held_rate: float = 0.0
-    """Hz of them that this board held up, as its loop did not go round."""
+    """Of these, Hz dropped because the loop of this board stalled."""
     late_rate: float = 0.0
-    """Hz of them whose samples had come too late, while the loop ran."""
+    """Of these, Hz whose samples had come too late, while the loop ran."""
     withheld: Annotated[
         int, counter("odometry_withheld", "Not sent by the guard, or as the line carries fewer.")
     ]
@@ -265,9 +266,9 @@ class OutputState:
     """By the answers to TIMESYNC over ten seconds, the median; NaN: too few."""
     every: Annotated[int, gauge("odometry_every", "Of so many ODOMETRY the line carries one.")] = 1
     second_source: str = ""
-    """Who else sends the autopilot poses, which, and how often; empty: nobody is heard."""
+    """Who else sends poses to the autopilot, in which message and how often; empty: nobody."""
     advice: str = ""
-    """What to set for the delay that is measured, or why nothing helps; empty: nothing need be."""
+    """What to set for the measured delay, or why nothing helps; empty: nothing to do."""
     texts_dropped: Annotated[
         int, counter("texts_dropped", "STATUSTEXT that waited behind too many others.")
     ] = 0
@@ -308,25 +309,26 @@ class ProcessState:
     recorded_bytes: Annotated[int, counter("recorded_bytes", "Written to the recording.")]
     unrecorded_bytes: Annotated[int, counter("unrecorded_bytes", "Lost to the recording.")]
     recording_trouble: str = ""
-    """Why not all is recorded at present; empty: all is, or nothing is to be."""
+    """Why not everything is recorded at present; empty: everything is, or nothing is wanted."""
     tick_age_s: Annotated[
         float, gauge("tick_age_seconds", "Since the filter's task went round.")
     ] = 0.0
-    """Tenths of a second, unless it is stuck."""
+    """Age of the last run of the loop, s: tenths of a second unless it is stuck."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReloadState:
-    """The configuration, read anew while running."""
+    """Reloads of the configuration."""
 
     count: Annotated[int, counter("reloads", "Of the configuration, while running.")] = 0
     words: str = ""
-    """What became of the last: keys taken and keys that wait for a restart; empty: none was."""
+    """Result of the last reload: keys applied, and keys that wait for a restart; empty: none
+    yet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """All of it, at one moment."""
+    """State of the whole daemon at one moment."""
 
     unix_ns: int
     """When, unix time, ns."""
@@ -379,7 +381,7 @@ class Snapshot:
     sample_age_s: Annotated[
         float, gauge("sample_age_seconds", "Since the newest inertial sample.")
     ] = math.nan
-    """So old is the estimate; NaN: none has come."""
+    """Age of the estimate; NaN: none has come."""
     vehicle: VehicleEstimate
     preflight: Preflight
     barren_s: Annotated[
@@ -398,8 +400,8 @@ class Snapshot:
             rows=_by_status_and_reason,
         ),
     ] = field(default_factory=dict)
-    """By name of the status, then of the foremost of its reasons, which is empty where there is
-    none: those of a status add up to its seconds."""
+    """By name of the status, then of its foremost reason (empty: none): the seconds of a status add
+    up."""
     tuned: Annotated[
         Mapping[str, object],
         gauge(

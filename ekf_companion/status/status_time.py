@@ -1,4 +1,4 @@
-"""For how long the estimate of this run had each status, and why."""
+"""How long the estimate of this run had each status, and why."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class StatusTime:
         self._seconds: Seconds = {}
 
     def update(self, pipeline: Pipeline) -> None:
-        """Charge the time since the last call to the status of now; call it every half second."""
+        """Charge the time since the last call to the present status; call it every half second."""
         step = (pipeline.stamp_ns - self._stamp_ns) * 1e-9
         is_first, self._pipeline = pipeline is not self._pipeline, pipeline
         self._stamp_ns = pipeline.stamp_ns

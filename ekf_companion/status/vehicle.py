@@ -1,4 +1,4 @@
-"""Where the vehicle is by our estimate and by the autopilot's, what aids it, and the verdict."""
+"""Vehicle state by our estimate and by the autopilot's, the aids in use, and the verdict."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Sigmas:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutopilotState:
-    """What the autopilot's own estimate says; NaN: not said, or it has none."""
+    """The autopilot's own estimate; NaN: not sent."""
 
     roll_deg: Annotated[float, gauge(*_AUTOPILOT_ATTITUDE, ("angle=roll",))]
     """deg."""
@@ -69,23 +69,23 @@ class AutopilotState:
     vel_ned_m_s: tuple[float, float, float]
     """m/s."""
     horizontal_std_m: float
-    """One sigma of its position as it states it, m."""
+    """One sigma of its position as the autopilot states it, m."""
     vertical_std_m: float
-    """Likewise of its height, m."""
+    """One sigma of its height as the autopilot states it, m."""
     age_s: float
-    """Since the older of both came, s."""
+    """Age of the older of attitude and position, s."""
     attitude_message: str
-    """That its attitude is from; empty: none came."""
+    """Message of its attitude; empty: none came."""
     attitude_age_s: float
-    """Since that came, s."""
+    """Age of its attitude, s."""
     position_message: str
-    """That its position is from; empty: none came."""
+    """Message of its position; empty: none came."""
     position_age_s: float
-    """Since that came, s."""
+    """Age of its position, s."""
     is_attitude_ours: bool
-    """Whether its heading is made of our ODOMETRY, so that it proves nothing."""
+    """Whether its heading comes from our ODOMETRY, so that it confirms nothing."""
     is_position_ours: bool
-    """Whether its position is made of our ODOMETRY, likewise."""
+    """Whether its position comes from our ODOMETRY, likewise."""
     is_followed: Annotated[
         bool, gauge("autopilot_watched", "1 while it fuses ODOMETRY: its estimate must be ours.")
     ]
@@ -97,11 +97,11 @@ class AutopilotState:
             rows=lambda apart: {(): float(bool(apart))},
         ),
     ]
-    """What of it is too far from ours; empty: nothing, or it is not watched."""
+    """Which parts differ too much from ours; empty: none, or they are not compared."""
     apart_horizontal_m: Annotated[float, gauge(*_SEPARATION, ("axis=horizontal",))]
-    """m, at the same time."""
+    """Horizontal difference at the same time, m."""
     apart_vertical_m: Annotated[float, gauge(*_SEPARATION, ("axis=vertical",))]
-    """m, above ours."""
+    """Height above ours, m."""
     apart_velocity_m_s: float
     """m/s."""
     apart_heading_deg: float
@@ -109,12 +109,12 @@ class AutopilotState:
     lag_s: Annotated[
         float, gauge("autopilot_lag_seconds", "How late its estimate follows ODOMETRY, in motion.")
     ]
-    """s; NaN: nothing moves."""
+    """Delay behind ours, s; NaN: nothing moves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AidState:
-    """Where what corrects the estimate comes from."""
+    """Where an aid of the estimate comes from."""
 
     source: Annotated[
         str,
@@ -125,25 +125,25 @@ class AidState:
             rows=lambda source: {source: 1.0} if source else {},
         ),
     ]
-    """The message, and of what in it; empty: it was never used."""
+    """Its message and sensor; empty: never used."""
     state: str
-    """``used``, ``refused``, ``lost`` (used before, and no more) or ``none``."""
+    """``used``, ``refused``, ``lost`` (no longer used) or ``none``."""
     since_s: Annotated[float, gauge("aid_used_seconds", "Used without a break.", ("aid",))]
-    """NaN: it is not used."""
+    """In use for so long, s; NaN: not in use."""
     used_s: float
-    """Since it was used last, s; NaN: never."""
+    """Since its last use, s; NaN: never."""
     refused_s: float
-    """Since it was refused last, s; NaN: never."""
+    """Since its last refusal, s; NaN: never."""
     why: str = ""
-    """Of the last refusal."""
+    """Reason of the last refusal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
-    """By how much the attitude has changed while the vehicle was at rest; NaN: not at rest."""
+    """Change of the attitude while the vehicle is at rest; NaN: not at rest."""
 
     seconds: float
-    """Length of the rest so far, s, as far as it is looked at."""
+    """Length of the rest that is looked at, s."""
     roll_deg: float
     """Largest less smallest in that time, deg."""
     pitch_deg: float
@@ -154,7 +154,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleEstimate:
-    """Where the vehicle is by our estimate, how sure that is, and what the autopilot says."""
+    """Vehicle state by our estimate, its sigmas, and what the autopilot says."""
 
     lat_deg: Annotated[float, gauge("latitude_degrees", "Of the estimate.")]
     lon_deg: Annotated[float, gauge("longitude_degrees", "Of the estimate.")]
@@ -178,11 +178,12 @@ class VehicleEstimate:
     """By aid: ``position``, ``height``, ``velocity``, ``heading``, ``baro``, ``rest``."""
     drift: Drift
     autopilot: AutopilotState | None
-    """None: it has said neither."""
+    """None: it has sent neither attitude nor position."""
     needs_fix: bool
     """Whether the configuration wants a position before take-off."""
     takes_own_position: bool
-    """Whether it names the autopilot's own position as the source, not a receiver."""
+    """Whether the configuration names the autopilot's own position as the source, not a
+    receiver."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,9 +194,9 @@ class Preflight:
     sentence: str
     """The verdict, and all reasons."""
     reasons: tuple[str, ...]
-    """What speaks against it, the most basic first."""
+    """What prevents a take-off, the most basic first."""
     notes: tuple[str, ...] = ()
-    """What could not be compared, and what is good to know."""
+    """What could not be compared, and other remarks."""
     causes: Annotated[
         tuple[str, ...],
         gauge(

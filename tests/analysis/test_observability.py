@@ -121,7 +121,7 @@ def test_level_accelerometer_biases_cannot_be_told_from_tilt_without_a_turn(moti
         assert "no turn, no change of tilt and no horizontal acceleration" in told[bias].sentence
         # All is left of the bias, and as much tilt as it makes of a level
         assert found.sigma[-1, STATES.index(bias)] == pytest.approx(1.0, abs=0.02)
-        assert f"it cannot be told from a {angle} error of 1.2 deg" in told[bias].sentence
+        assert f"it cannot be separated from a {angle} error of 1.2 deg" in told[bias].sentence
     for name in ("gyro x bias", "gyro y bias", "gyro z bias", "accelerometer z bias", "heading"):
         assert told[name].since - found.begin < 6.0
         assert "not observable" not in told[name].sentence
@@ -181,7 +181,7 @@ def test_a_turn_that_is_all_there_is_does_not_show_them():
     for bias, angle in LEVEL_PAIRS:
         told = said(found)[bias]
         assert told.since is None
-        assert "no change of tilt; it cannot be told from a gyro " in told.sentence
+        assert "no change of tilt; it cannot be separated from a gyro " in told.sentence
         assert f"a {angle} error of " in told.sentence
     assert (found.singular[-1, -2:] < 1e-3).all()
 

@@ -1,4 +1,4 @@
-"""Flight without a compass, or with a wrong one: samples of docs/ACCURACY.md."""
+"""Flight without a compass, or with a wrong one: samples of docs/accuracy/faults.md."""
 
 from functools import cache
 

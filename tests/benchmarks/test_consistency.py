@@ -1,4 +1,4 @@
-"""Samples of the campaign of docs/ACCURACY.md.
+"""Samples of the campaign of docs/accuracy/consistency.md.
 
 Bands are chi-square bands of 99.9 % for so few flights, so that a filter that is right passes
 whatever its seeds; the instants of one flight depend on each other and count as one.

@@ -6,13 +6,21 @@ from benchmarks import campaign
 from benchmarks.accuracy import __main__ as accuracy
 from benchmarks.accuracy import compassless
 from benchmarks.document import main
+from benchmarks.truth.__main__ import MARK
+from tests.paths import ROOT
 
 
-def test_a_campaign_goes_between_its_marks(monkeypatch, tmp_path):
+def test_each_table_has_its_place_in_one_page():
+    pages = [page.read_text("utf-8") for page in (ROOT / "docs" / "accuracy").glob("*.md")]
+    for name in (*accuracy.PARTS, MARK):
+        assert sum(f"<!-- {name} -->\n" in page for page in pages) == 1, name
+
+
+def test_a_campaign_goes_between_its_marks_in_a_folder(monkeypatch, tmp_path):
     document = tmp_path / "doc.md"
     document.write_text("a\n<!-- compassless -->\nold\n<!-- end -->\nb\n", encoding="utf-8")
     command = ["accuracy", "--data", str(tmp_path), "--only", "compassless", "--runs", "1"]
-    monkeypatch.setattr("sys.argv", [*command, "--write", str(document)])
+    monkeypatch.setattr("sys.argv", [*command, "--write", str(tmp_path)])
     monkeypatch.setattr(campaign, "PROCESSES", 1)
     monkeypatch.setattr(compassless, "DURATION", 40.0)
     main("Make tables.", accuracy.PARTS)

@@ -1,4 +1,4 @@
-"""Four inertial units on one quadrotor: samples of docs/ACCURACY.md."""
+"""Four inertial units on one quadrotor: samples of docs/accuracy/outages.md."""
 
 import numpy as np
 import pytest

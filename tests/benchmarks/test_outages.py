@@ -1,4 +1,4 @@
-"""Drift without GNSS: samples of docs/ACCURACY.md."""
+"""Drift without GNSS: samples of docs/accuracy/outages.md."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""A receiver that is wrong: samples of docs/ACCURACY.md."""
+"""A receiver that is wrong: samples of docs/accuracy/faults.md."""
 
 from functools import cache
 

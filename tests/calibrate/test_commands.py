@@ -70,7 +70,7 @@ def test_the_figure_goes_where_it_is_asked_for_and_what_is_printed_says_so(flown
 @pytest.mark.parametrize(
     ("kind", "name", "sentence"),
     [
-        ("noise", "hover", "tells nothing of noise"),
+        ("noise", "hover", "shows nothing of the noise"),
         ("delay", "static", "its motion does not show the delay of fixes"),
         ("mag", "static", "the vehicle has hardly turned"),
     ],

@@ -121,7 +121,9 @@ def test_a_log_without_fixes_tells_of_the_inertial_sensors_alone():
 
 
 def test_a_log_that_tells_nothing_is_refused():
-    with pytest.raises(LogError, match=r"^x\.bin: tells nothing of noise: .*rest.*; .*no GNSS fix"):
+    with pytest.raises(
+        LogError, match=r"^x\.bin: shows nothing of the noise: .*rest.*; .*no GNSS fix"
+    ):
         noise.measure(without(fly("hover", 60.0), Kind.GNSS), SETTINGS, "x.bin")
 
 

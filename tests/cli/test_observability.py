@@ -36,7 +36,7 @@ def test_it_prints_a_sentence_per_state_and_writes_a_figure_and_json(flown, tmp_
     assert result.exit_code == 0, result.output
     assert (
         "accelerometer x bias: not observable in this flight: no turn, no change of tilt and no "
-        "horizontal acceleration; it cannot be told from a pitch error of 1."
+        "horizontal acceleration; it cannot be separated from a pitch error of 1."
     ) in result.stdout
     assert "accelerometer z bias: observable from " in result.stdout
     figure = flown["static"].with_name("static.observability.png")

@@ -69,7 +69,7 @@ def run(command, log, out, before=None, stdout=subprocess.PIPE):
 
 
 def check(done, words):
-    """Check for one sentence, and the exit code of README: sim-autopilot has but one."""
+    """Check for one sentence, and the exit code of docs/COMMANDS.md: sim-autopilot has only one."""
     text = " ".join(done.stderr.split())
     assert "Traceback" not in text, done.stderr
     assert words in text, done.stderr
@@ -127,7 +127,8 @@ def test_a_standard_output_without_room_is_a_sentence(log, command):
         done = run(command, log, None, stdout=full)
     who = "sim-autopilot" if command.startswith("sim") else "ekf-companion"
     words = f"{who}: the standard output cannot be written: No space left on device\n"
-    assert (done.returncode, done.stderr) == (3, words)
+    # On a busy machine a line of progress comes first
+    assert (done.returncode, done.stderr.splitlines(keepends=True)[-1]) == (3, words)
 
 
 def test_a_standard_output_that_is_closed_is_a_sentence(log):

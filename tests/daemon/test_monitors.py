@@ -115,8 +115,8 @@ def test_a_monitor_gets_the_odometry_that_the_guard_withholds_rule_25(flown):
     heard = flown.monitor.of("ODOMETRY")
     assert len(heard) > 300
     assert set(np.diff([message.time_usec for message in heard])) == {20_000}
-    # Nor does it come by the other way, where the autopilot speaks from a monitor's address
-    assert flown.words.count("output.monitors: the autopilot speaks from udpout:") == 1
+    # Nor does it come by the other way, where the autopilot sends from a monitor's address
+    assert flown.words.count("output.monitors: the autopilot sends from udpout:") == 1
     # It is what was withheld, but for what it says of itself
     withheld = {message.time_usec: message for _, message in flown.record.of("ODOMETRY")}
     for message in heard:

@@ -221,7 +221,7 @@ def test_a_compass_that_is_refused_is_on_the_page_and_in_its_events(tmp_path, po
     magnet = "mag-disturbance:start=4,duration=600,forward=0.3"
     flight = flying(f"udpout:127.0.0.1:{ports[0]}", magnet)
     with chromium(tmp_path) as tab, flight, start(tmp_path, ports) as daemon:
-        daemon.wait_for("Compass refused, now or now and then: the magnetic field is not")
+        daemon.wait_for("Compass refused, always or at times: the magnetic field is not")
         tab.open(f"http://127.0.0.1:{ports[1]}/")
         tab.wait_for("document.querySelector('#events')?.textContent.includes('Compass refused')")
         lately = "; lately refused: the magnetic field is not the Earth's"

@@ -84,7 +84,7 @@ def test_a_ground_station_alone_is_no_autopilot():
     found = first_failure(diagnose(evidence))
     assert found.stage.value == "source"
     assert found.saw == "255/190 ground station"
-    assert "Only a ground station speaks here" in words(found)
+    assert "Only a ground station sends here" in words(found)
     assert marks(evidence)["messages"] == "unknown"
 
 
@@ -567,7 +567,7 @@ def test_a_fix_without_time_or_accuracy_is_a_warning():
     found = stage(examine(config=SLOW, change=poor, seconds=5.0), "values")
     assert found.outcome is Outcome.WARNING
     assert "hold no time" in words(found)
-    assert "tells no accuracy" in words(found)
+    assert "reports no accuracy" in words(found)
 
 
 def test_stale_inertial_values_are_refused_by_their_bits():

@@ -1,4 +1,4 @@
-"""How soon a straight start from rest shows north, where there is no heading: README's numbers."""
+"""How soon a straight start from rest shows north, without a heading: see docs/ACCURACY.md."""
 
 import numpy as np
 import pytest

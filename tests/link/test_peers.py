@@ -121,7 +121,11 @@ def test_that_somebody_is_not_heard_is_said_once(caplog):
 @pytest.mark.parametrize(
     ("url", "peer", "words"),
     [
-        ("udpout:10.0.0.2:14550", "10.0.0.2", "only udpin: and udpbcast: hear several senders"),
+        (
+            "udpout:10.0.0.2:14550",
+            "10.0.0.2",
+            "only udpin: and udpbcast: receive from several senders",
+        ),
         ("tcpin:0.0.0.0:5760", "10.0.0.2", "the link is tcpin:0.0.0.0:5760; leave the peer out"),
         ("serial:/dev/ttyS1:57600", "10.0.0.2", "leave the peer out"),
         ("udpin:0.0.0.0:14540", "10.0.0.2:x", "no HOST or HOST:PORT, as in 192.168.1.2"),

@@ -54,7 +54,7 @@ def test_the_picture_is_drawn_even_of_silence(tmp_path):
 @pytest.mark.campaign
 def test_whoever_waits_sees_every_four_seconds_that_it_flies(tmp_path):
     told = []
-    demo.fly(tmp_path, duration=12.0, seed=1, tell=told.append)
+    demo.fly(tmp_path, duration=12.0, seed=1, on_progress=told.append)
     assert told[0] == "planning the flight"
     assert told[1] == "flying for 12 s, in real time, over UDP"
     assert "flying, 4 of 12 s" in told

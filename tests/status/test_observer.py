@@ -291,12 +291,12 @@ def test_the_last_reload_is_told_in_its_words():
     assert watched.snapshot().reload == told
 
 
-def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
+def test_a_bug_in_the_status_line_stops_no_flight(caplog):
     watched = Watched()
     assert watched.observer.health_line() == judge(watched.snapshot()).line
     watched.observer._link = None
     assert [watched.observer.health_line() for _ in range(3)] == ["", "", ""]
-    assert caplog.text.count("cannot be told the state") == 1
+    assert caplog.text.count("The state cannot be sent") == 1
 
 
 # Judged
@@ -461,4 +461,4 @@ def test_a_bug_in_what_is_kept_for_the_page_is_logged_once_and_ends_nothing(capl
     for second in range(3):
         kept.keep(second * 1_000 * MS, lambda: 1 // 0)
     assert json.loads(kept.to_json(2_000 * MS)) == [[2.0, None], [1.0, None], [0.0, None]]
-    assert caplog.text.count("The page cannot be told the past") == 1
+    assert caplog.text.count("The past cannot be sent to the page") == 1

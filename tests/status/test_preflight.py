@@ -148,7 +148,7 @@ def test_where_a_compass_is_first_refused_the_log_says_so_once(caplog):
     caplog.set_level("INFO")
     watched = stand(f"{NO_COMPASS_FIELD},start=6", duration=14.0)
     assert watched.snapshot().vehicle.aids["heading"].refused_s < 1.0
-    words = "Compass refused, now or now and then: the magnetic field is not the Earth's"
+    words = "Compass refused, always or at times: the magnetic field is not the Earth's"
     assert caplog.text.count(words) == 1
     caplog.clear()
     stand(duration=6.0)

@@ -65,7 +65,7 @@ def receiver_height(draw: Draw) -> Readings:
 
 
 def receiver_height_1_hz(draw: Draw) -> Readings:
-    """The same, beside a barometer that is slower than the receiver."""
+    """The same, with a barometer that is slower than the receiver."""
     readings = receiver_height(draw)
     thin_baro(readings, 25)
     return readings

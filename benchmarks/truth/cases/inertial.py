@@ -1,4 +1,4 @@
-"""The inertial unit clips, shakes, or is not what it is taken for."""
+"""The inertial unit clips, vibrates, or has errors that are not configured."""
 
 from __future__ import annotations
 

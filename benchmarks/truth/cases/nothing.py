@@ -1,4 +1,4 @@
-"""Nothing is wrong, or no more than what a receiver does not say of itself."""
+"""Nothing is wrong, or only errors that a receiver does not report."""
 
 from __future__ import annotations
 

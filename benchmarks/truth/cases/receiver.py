@@ -1,4 +1,4 @@
-"""The receiver is lost, or jumps, slides and runs wild."""
+"""The receiver is lost, or jumps, drifts off or has a velocity fault."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def _jumping(draw: Draw, motion: Motion, by: float, length: float) -> Readings:
 
 
 def slide_2(draw: Draw) -> Readings:
-    """Figure-eights; position slides away at about 2 m/s for 20 s, velocity true."""
+    """Figure-eights; position drifts off at about 2 m/s for 20 s, velocity true."""
     return _sliding(draw, paths.figure_eights(draw))
 
 
 def slide_2_hover(draw: Draw) -> Readings:
-    """Hover; position slides away at about 2 m/s for 20 s, velocity true."""
+    """Hover; position drifts off at about 2 m/s for 20 s, velocity true."""
     return _sliding(draw, paths.hover(draw))
 
 
@@ -89,12 +89,12 @@ def _slide(draw: Draw, readings: Readings, length: float, speed: float) -> None:
 
 
 def slide_1_white(draw: Draw) -> Readings:
-    """Figure-eights; slides away at about 1 m/s for 40 s, of a receiver whose errors are white."""
+    """Figure-eights; drifts off at about 1 m/s for 40 s, of a receiver with white errors."""
     return _sliding_white(draw, paths.figure_eights(draw))
 
 
 def slide_1_white_hover(draw: Draw) -> Readings:
-    """Hover; slides away at about 1 m/s for 40 s, of a receiver whose errors are white."""
+    """Hover; drifts off at about 1 m/s for 40 s, of a receiver with white errors."""
     return _sliding_white(draw, paths.hover(draw))
 
 
@@ -108,12 +108,12 @@ def _sliding_white(draw: Draw, motion: Motion) -> Readings:
 
 
 def slide_slow(draw: Draw) -> Readings:
-    """Figure-eights; slides about 15 m away within 60 s and back in 60 s, velocity true."""
+    """Figure-eights; drifts about 15 m off within 60 s and back in 60 s, velocity true."""
     return _sliding_slowly(draw, paths.figure_eights(draw))
 
 
 def slide_slow_hover(draw: Draw) -> Readings:
-    """Hover; slides about 15 m away within 60 s and back in 60 s, velocity true."""
+    """Hover; drifts about 15 m off within 60 s and back in 60 s, velocity true."""
     return _sliding_slowly(draw, paths.hover(draw))
 
 
@@ -185,7 +185,7 @@ def vertical_velocity_wild_hover(draw: Draw) -> Readings:
 
 
 def receiver_wild(draw: Draw) -> Readings:
-    """Hover; the receiver's velocity is wild for 3 s, its descent for 15 s; position follows."""
+    """Hover; the receiver's velocity is erratic for 3 s, its descent for 15 s; position follows."""
     return _running_wild(draw, flown(draw, paths.hover(draw), 150.0))
 
 
@@ -197,7 +197,7 @@ def receiver_wild_shaken(draw: Draw) -> Readings:
 
 
 def receiver_wild_1_hz(draw: Draw) -> Readings:
-    """The same as receiver-wild, beside a barometer at 1 Hz."""
+    """The same as receiver-wild, with a barometer at 1 Hz."""
     readings = receiver_wild(draw)
     thin_baro(readings, 25)
     return readings
@@ -219,7 +219,7 @@ def _running_wild(draw: Draw, readings: Readings) -> Readings:
 
 
 def _mislead(readings: Readings, begin: float, length: float, most_n: Array) -> None:
-    """Let a velocity error rise to ``most_n`` (m/s) and fall; the position forgets it in 5 s."""
+    """Let a velocity error rise to ``most_n`` (m/s) and fall; the position loses it in 5 s."""
     t, dt, memory = readings.fixes.t, 0.2, 5.0
     shape = np.sin(np.pi * np.clip((t - begin) / length, 0.0, 1.0)) ** 2
     led = np.zeros_like(shape)

@@ -102,18 +102,18 @@ export class Chart {
     this.data = data;
     this.card.dataset.seconds = data[0].length ? Math.round(data[0].at(-1) - data[0][0]) : 0;
     this.plot?.setData(data);
-    this.tell();
+    this.showLegend();
   }
 
   /** Move the line of the log's slider there. */
   setMoment(moment) {
     this.moment = moment;
     this.plot?.redraw(false);
-    this.tell();
+    this.showLegend();
   }
 
   /** Let the legend show the newest values, or those of the slider, unless the mouse is there. */
-  tell() {
+  showLegend() {
     const times = this.data[0];
     if (!this.plot || this.plot.cursor.left >= 0 || !times.length) return;
     const idx = this.moment === undefined ? times.length - 1 : this.plot.valToIdx(this.moment);

@@ -89,7 +89,7 @@ export function startLive() {
         charts.forEach((one) => append(one.data, Date.now() / 1000, []));
         map.lift("ours", "autopilot");
       }
-      // What was true when the last message came is not said to be true now
+      // The state of the last message may no longer be true
       if (kind === "bad" && state !== kind) {
         showVerdict("wait", "not known: nothing comes from the daemon");
         if (seen) put("vehicle", vehicleOf(seen, false));
@@ -99,7 +99,7 @@ export function startLive() {
   );
 }
 
-/** Show whether what is seen is of now: the connection, and what comes over it. */
+/** Show whether the page is up to date: the connection, and the age of its data. */
 function showLink([kind, words], age) {
   let shown = [kind, words];
   if (kind === "good" && age === null) shown = ["wait", "no estimate yet"];
@@ -108,7 +108,7 @@ function showLink([kind, words], age) {
   $("link").className = `badge ${shown[0]}`;
 }
 
-/** Say how old the estimate is, where no samples come; return whether that is so. */
+/** Show the estimate's age if no samples come; return whether it is old. */
 function showAge(live) {
   const isOld = live !== null && !(live.age_s < OLD);
   document.body.classList.toggle("old", isOld);
@@ -117,7 +117,7 @@ function showAge(live) {
   return isOld;
 }
 
-/** Add one row to columns, and forget what is older than a chart shows. */
+/** Add one row to columns, and drop rows that are older than a chart shows. */
 function append(data, now, row) {
   data[0].push(now);
   for (let i = 1; i < data.length; i++) data[i].push(isKnown(row[i - 1]) ? row[i - 1] : null);
@@ -136,7 +136,7 @@ function wordsOf(name, { state, source, since_s: since, refused_s: refused, why 
   return `used, ${source}, for ${fixed(since, 0)} s${lately}`;
 }
 
-/** The vehicle, and whether it is armed where its heartbeat says so now. */
+/** The vehicle, and whether it is armed by its present heartbeat. */
 function vehicleOf({ peer, link }, isNow) {
   if (!peer) return link.url;
   const name = `${peer.family} ${peer.version}, system ${peer.system_id}`;

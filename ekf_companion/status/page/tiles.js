@@ -16,7 +16,7 @@ function picture(url, onLoad) {
   if (!pictures[url]) {
     if (Object.keys(pictures).length > KEPT) pictures = {};
     const image = (pictures[url] = new Image());
-    image.referrerPolicy = "origin"; // some servers refuse who does not say from where they ask
+    image.referrerPolicy = "origin"; // some servers refuse requests without a referrer
     image.onload = onLoad;
     image.src = url;
   }

@@ -1,4 +1,4 @@
-/** The track over ground, with the ellipse that encloses 95 %, and the autopilot's beside it. */
+/** The track over ground, with the ellipse that encloses 95 %, and the autopilot's track. */
 
 import { $, colours, isKnown, open, put } from "./format.js";
 import { drawTiles, hasTiles } from "./tiles.js";

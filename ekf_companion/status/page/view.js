@@ -5,7 +5,7 @@ import { drawHorizon } from "./horizon.js";
 
 const APART_TOO_FAR = { roll: 5, pitch: 5, heading: 15, place: 10, alt: 10, speed: 2 };
 
-/** Show an estimate beside the autopilot's. */
+/** Show our estimate and the autopilot's. */
 export function showSample(sample, autopilot, map, kind) {
   drawHorizon(sample, autopilot);
   for (const name of ["roll", "pitch", "heading"]) {
@@ -54,7 +54,7 @@ export function showVerdict(kind, sentence, reasons = [], health = "") {
   }
 }
 
-/** Show names and values; an entry may say that it is good or bad. */
+/** Show names and values; an entry may be marked good or bad. */
 export function showFacts(facts) {
   const known = facts.filter(([, text]) => text);
   $("facts").replaceChildren(
