@@ -9,7 +9,6 @@ from ekf_companion.logs.tlog import Autopilot, Tlog
 from ekf_companion.logs.tlog_senders import others, senders, unannounced
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Event, Noted, PeerFound
-from ekf_companion.replay.report import Report
 
 if TYPE_CHECKING:
     from ekf_companion.engine.checkpoint import Vehicle
@@ -22,17 +21,22 @@ MOST_NAMED = 8
 
 
 class Vehicles:
-    """Follows who is listened to in a log, and reports on the others."""
+    """Follows who is listened to in a log, and notes the others."""
 
-    def __init__(self, log: Tlog, wanted: int | None, report: Report) -> None:
-        """Look who speaks; ``wanted`` is the system id of the configuration."""
-        self._wanted, self._report = wanted, report
+    def __init__(self, log: Tlog, wanted: int | None, notes: list[str]) -> None:
+        """Look who speaks.
+
+        ``wanted`` is the system id of the configuration; sentences are added to ``notes``.
+        """
+        self._wanted, self._notes = wanted, notes
+        self.family = "unknown"
+        """Firmware of who is listened to."""
         self._senders = senders(log)
         self._silent = unannounced(self._senders, wanted)
         self._found: list[tuple[Vehicle, BlockPipeline]] = []
 
     def attend(self, companion: Companion) -> None:
-        """Let a companion find an autopilot without heartbeats; report what it notes."""
+        """Let a companion find an autopilot without heartbeats; keep what it notes."""
         companion.on_event = self._on_event
         if (one := self._silent) is not None:
             peer = PeerFound(one.system_id, one.component_id, Family(one.family))
@@ -44,25 +48,24 @@ class Vehicles:
         if vehicle is None or (self._found and vehicle is self._found[-1][0]):
             return False
         if self._found and self._found[-1][1].measured:
-            self._report.notes.append(
+            self._notes.append(
                 f"the autopilot is another from some time on: system {vehicle.system_id}, "
                 f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
                 "there"
             )
         self._found += [(vehicle, pipeline) for pipeline in pipelines]
-        self._report.family = vehicle.family
+        self.family = vehicle.family
         return True
 
     def finish(self, companion: Companion) -> None:
-        """Report what is known at the end of the log."""
+        """Note what is known at the end of the log."""
         for event in companion.session.events():
             self._on_event(event)
-        self._report.notes += self.notes()
-        self._report.elsewhere = self.elsewhere
+        self._notes += self.notes()
 
     def _on_event(self, event: Event) -> None:
-        if isinstance(event, Noted) and event.text not in self._report.notes:
-            self._report.notes.append(event.text)
+        if isinstance(event, Noted) and event.text not in self._notes:
+            self._notes.append(event.text)
 
     @property
     def compared(self) -> Autopilot | None:
