@@ -39,7 +39,7 @@ SLOWEST = (
     "tests/replay/test_smoothing.py",
     "tests/daemon/test_signed_daemon.py",
     "tests/daemon/test_time.py",
-    "tests/review/test_judgement.py",
+    "tests/review/test_evidence.py",
     "tests/daemon/test_http.py",
     "tests/sim/test_demo.py",
     "tests/status/test_progress.py",

@@ -19,8 +19,8 @@ from ekf_companion.logs.source import real_path, suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
 from ekf_companion.review import convert
-from ekf_companion.review.judgement import judge_log
 from ekf_companion.review.report import Report
+from ekf_companion.review.verdict import judge_log
 
 Row = dict[str, str | int | float | None]
 """What is found of one log, by column; None: not known."""

@@ -25,11 +25,11 @@ from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, 
 from ekf_companion.replay.log_source import onboard
 from ekf_companion.replay.run import Block, Progress
 from ekf_companion.replay.watched import Look, WatchedPipeline
-from ekf_companion.review.judgement import judge_log, take_truth
+from ekf_companion.review.evidence import take_truth
 from ekf_companion.review.report import Report
 from ekf_companion.review.review import Review
 from ekf_companion.review.stretches import Stretches, of_events
-from ekf_companion.review.verdict import Judgement
+from ekf_companion.review.verdict import Judgement, judge_log
 
 SEGMENT = 1024
 """Samples of a piece of the spectrum."""

@@ -102,8 +102,9 @@ def _ours(
     """Run the estimator over a log and print the verdict, or read an estimate that it wrote."""
     from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate, read_truth
     from ekf_companion.review import convert as converter
-    from ekf_companion.review.judgement import judge_log, take_truth
+    from ekf_companion.review.evidence import take_truth
     from ekf_companion.review.report import summary
+    from ekf_companion.review.verdict import judge_log
 
     if is_estimate(log):
         if is_smoothed:
@@ -139,7 +140,7 @@ def _compare_ours(
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
     from ekf_companion.logs.estimate import read_truth
-    from ekf_companion.review.judgement import evidence_of
+    from ekf_companion.review.evidence import evidence_of
 
     estimate = ours.estimate
     truth = ours.truth if reference is None else read_truth(reference)

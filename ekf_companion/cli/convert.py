@@ -41,8 +41,9 @@ def convert(
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion.review import convert as converter
-    from ekf_companion.review.judgement import judge_log, take_truth
+    from ekf_companion.review.evidence import take_truth
     from ekf_companion.review.report import summary
+    from ekf_companion.review.verdict import judge_log
 
     with terminal.exit_on_error(), progress_line(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "the reference": reference}

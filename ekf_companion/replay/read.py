@@ -10,7 +10,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
-from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.nav.measurements import Events, Kind, is_reboot, merge
 from ekf_companion.replay.log_source import reference, truth
 from ekf_companion.replay.run import IdlePipeline, Progress, Run
 
@@ -45,15 +45,14 @@ def read(
     # in the order in which they came: merge keeps it where arrivals are equal
     arrival = [np.zeros(len(part), dtype=np.int64) for part in tables]
     events = merge(*tables, arrival_ns=arrival)
-    is_restart = events.kind == Kind.RESTART
-    cuts += np.flatnonzero(is_restart).tolist()
+    cuts += np.flatnonzero(events.kind == Kind.RESTART).tolist()
     pieces = np.split(np.arange(len(events)), sorted(set(cuts) - {0}))
     chosen = max(pieces, key=len)
     longest = events.take(chosen)
     if len(pieces) > 1:
         what = (
             "the autopilot rebooted in this log, and its clock"
-            if (is_restart & (events.values[:, 0] == 0.0)).any()
+            if is_reboot(events).any()
             else "another autopilot, or its clock,"
         )
         run.notes.append(f"{what} begins anew; the longest part counts")

@@ -38,6 +38,7 @@ from ekf_companion.review.turns import (
     averaged,
     fits_better,
     named,
+    spelled,
     spread,
     usable,
 )
@@ -233,7 +234,7 @@ def _mistakes(median: Array) -> str:
     if likely := named(mistakes, float(np.min(median))):
         return likely
     of_gyro, of_accel = CANDIDATES[int(np.argmin(median))]
-    return f"gyro should be {_order(of_gyro)} of what is given, and accel {_order(of_accel)}"
+    return f"gyro should be {spelled(of_gyro)} of what is given, and accel {spelled(of_accel)}"
 
 
 def _candidate(of_gyro: Array, of_accel: Array) -> int:
@@ -246,12 +247,3 @@ def _candidate(of_gyro: Array, of_accel: Array) -> int:
         for k, (gyro, accel) in pairs
         if np.allclose(gyro, turn @ of_gyro) and np.array_equal(accel, handed)
     )
-
-
-def _order(turn: Array) -> str:
-    """Return ``(y, x, z)`` for x and y exchanged."""
-    spelled = []
-    for row in turn:
-        axis = int(np.argmax(np.abs(row)))
-        spelled.append(f"{'-' if row[axis] < 0.0 else ''}{'xyz'[axis]}")
-    return f"({', '.join(spelled)})"

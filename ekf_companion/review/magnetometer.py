@@ -7,8 +7,6 @@ angles, or a reflection, which no iron of a vehicle does.
 
 from __future__ import annotations
 
-from itertools import permutations, product
-
 import numpy as np
 
 from ekf_companion.nav import so3
@@ -16,6 +14,7 @@ from ekf_companion.nav.arrays import Array, known_rows, median
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import QUATERNION, Status, Table
+from ekf_companion.review.turns import SIGNED, spelled
 
 FEWEST = 200
 """Samples with an attitude."""
@@ -25,7 +24,6 @@ axes, the declaration is wrong. Iron as strong as a third of the field leaves 0.
 _APART = 4.0
 """Factor from the Earth's strength beyond which the unit is wrong."""
 _UNITS = {"microtesla": 1e2, "milligauss": 1e3, "nanotesla": 1e5, "tesla": 1e-4}
-_AXES = ("x", "y", "z")
 
 
 class MagnetometerCheck:
@@ -90,20 +88,10 @@ class MagnetometerCheck:
     def _of_axes(self) -> str:
         if self._count < FEWEST or np.trace(self._product) / self._count > WRONG:
             return ""
-        choices = [
-            (axes, signs) for axes in permutations(range(3)) for signs in product((1, -1), repeat=3)
-        ]
-        score, axes, signs = max(
-            (sum(s * self._product[a, k] for k, (a, s) in enumerate(zip(*one, strict=True))), *one)
-            for one in choices
-        )
-        if score / self._count < RIGHT:
+        scores = [float(np.trace(turn @ self._product)) for turn in SIGNED]
+        if max(scores) / self._count < RIGHT:
             return ""
-        spelled = ", ".join(
-            f"{'-' if sign < 0 else ''}{_AXES[axis]}"
-            for axis, sign in zip(axes, signs, strict=True)
-        )
         return (
             "the magnetometer's axes are not forward, right, down as declared: it fits the Earth's "
-            f"field as ({spelled}) of what is declared as (x, y, z)"
+            f"field as {spelled(SIGNED[int(np.argmax(scores))])} of what is declared as (x, y, z)"
         )

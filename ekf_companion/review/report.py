@@ -14,7 +14,7 @@ from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health, Verdict
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage
 from ekf_companion.nav.arrays import median
-from ekf_companion.nav.measurements import Events, Kind, is_derived, of_receiver
+from ekf_companion.nav.measurements import Events, Kind, is_derived, is_reboot, of_receiver
 from ekf_companion.nav.reason import (
     NONE,
     Seconds,
@@ -29,7 +29,7 @@ from ekf_companion.review.left_out import LeftOut
 from ekf_companion.review.stamps import NO_SAMPLES, StampCount
 from ekf_companion.review.track import Track
 
-_SLOW = 20.0
+SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
 _WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
 
@@ -137,8 +137,7 @@ def _by_name(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]
 
 def add_block(report: Report, events: Events, table: Table) -> None:
     """Add a block of events and their estimates to the report."""
-    is_restart = events.kind == Kind.RESTART
-    report.reboots += int(np.count_nonzero(is_restart & (events.values[:, 0] == 0.0)))
+    report.reboots += int(np.count_nonzero(is_reboot(events)))
     is_fix = of_receiver(events)
     for kind in Kind:
         chosen = is_fix if kind == Kind.GNSS else events.kind == kind
@@ -194,9 +193,9 @@ def note_shortcomings(report: Report, path: Path) -> None:
     if report.stamps.is_most:  # what is lacking besides follows from that
         _check_estimated(report, path)
         return
-    if rate < _SLOW:
+    if rate < SLOW:
         report.notes.append(
-            f"inertial samples come at {rate:.1f} Hz, below the {_SLOW:.0f} Hz that motion can be "
+            f"inertial samples come at {rate:.1f} Hz, below the {SLOW:.0f} Hz that motion can be "
             "integrated from: position and velocity follow GNSS, attitude is a guess; "
             "ask for a faster stream"
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from ekf_companion.logs.series import BACK_NS
 from ekf_companion.nav.arrays import Indices, Stamps
-from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.measurements import Events, is_reboot
 
 PAUSE_NS = 10_000_000_000
 """Between two stretches that are drawn one after another."""
@@ -79,5 +79,4 @@ def of_events(events: Events, first: int, last: int) -> Indices:
         first: The stretch in which the block begins.
         last: The one in which it ends.
     """
-    is_reboot = (events.kind == Kind.RESTART) & (events.values[:, 0] == 0.0)
-    return np.asarray(np.minimum(first + np.cumsum(is_reboot), last), dtype=np.intp)
+    return np.asarray(np.minimum(first + np.cumsum(is_reboot(events)), last), dtype=np.intp)

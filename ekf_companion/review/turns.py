@@ -84,3 +84,12 @@ def named(mistakes: Iterable[tuple[str, float]], best: float) -> str:
     """Return the first mistakes, of words and what they leave, that leave hardly more than best."""
     likely = [words for words, left in mistakes if left < ALIKE * best]
     return ", or ".join(likely[:MOST_NAMED])
+
+
+def spelled(turn: Array) -> str:
+    """Return ``(y, x, z)`` for x and y exchanged."""
+    axes = []
+    for row in turn:
+        axis = int(np.argmax(np.abs(row)))
+        axes.append(f"{'-' if row[axis] < 0.0 else ''}{'xyz'[axis]}")
+    return f"({', '.join(axes)})"

@@ -6,29 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ekf_companion.engine.health import Aid, Verdict, fused_of, refused_of
+from ekf_companion.engine.health import DECIMATED, Aid, Verdict, fused_of, refused_of
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.reason import to_words
 from ekf_companion.nav.state import Status
-from ekf_companion.review.departure import Departure
-from ekf_companion.review.report import Report
+from ekf_companion.review.evidence import CLEARLY, NEAR, Evidence, evidence_of, metres
+from ekf_companion.review.report import SLOW, Report
 from ekf_companion.review.track import Size
 
-STARTED = frozenset((Status.OK, Status.DEGRADED, Status.DEAD_RECKONING, Status.INVALID))
-"""With a position."""
 OFTEN, RARELY = 0.2, 0.05
 """Shares of the flight, or of the fixes, beyond which it is poor, or no more than fair."""
-FAR, NEAR = 5.0, 2.0
-"""Horizontal differences from a truth, m RMS, likewise: a receiver alone has 1 to 2 m."""
+FAR = 5.0
+"""Horizontal difference from a truth, m RMS, that is poor; beyond ``NEAR`` it is fair."""
 PEAK = 2.0
 """The worst moment is named where it is that many times the RMS, and more than ``NEAR``."""
-CLEARLY = 1.5
-"""Of two estimates the receiver agrees with the one that is that many times nearer to it."""
-ELSEWHERE = 20.0
-"""m from the fixes, in the median: a receiver is not so far from a truth for half a flight."""
-SLOW, FAST_ENOUGH = 20.0, 50.0
-"""Inertial samples per second, Hz, below which nothing can be judged, or no more than fair."""
 SHORT_S = 15.0
 """Time below which nothing can be judged, s: a filter is settling still."""
 SHORT_GAP, LONG_GAP = 1.0, 5.0
@@ -60,46 +52,6 @@ MOST_RESETS = 2
 """More are poor."""
 FEWEST = 10
 """Refused measurements of an aid from which on they are named."""
-
-
-class Evidence(NamedTuple):
-    """What an estimate's horizontal position is judged by, as far as the log holds it."""
-
-    sigma: Size | None = None
-    """One sigma, by the estimate itself."""
-    truth: Size | None = None
-    """Distance from the truth."""
-    autopilot: Size | None = None
-    """Distance from the autopilot's own estimate."""
-    to_fixes: tuple[float, float] | None = None
-    """RMS distances of ours and of the autopilot's from the receiver's fixes, m."""
-
-    truth_to_fixes: tuple[float, float] | None = None
-    """Median distances of ours and of the truth from the receiver's fixes, m."""
-    departure: Departure = Departure()
-    """How far yaw, tilt and height are from the truth, else from the autopilot's."""
-
-    @property
-    def is_right(self) -> bool:
-        """Whether the truth says that the flight is estimated right, whatever the filter doubts."""
-        return self.truth is not None and self.truth.rms <= NEAR and self.departure.is_close
-
-    @property
-    def is_shared(self) -> bool:
-        """Whether another estimate of the same flight, the autopilot's, says the same."""
-        if self.truth is not None or self.autopilot is None:
-            return False
-        return self.autopilot.rms <= NEAR and self.departure.is_close
-
-    @property
-    def truth_elsewhere(self) -> str:
-        """Ask for a truth that is far from the receiver's fixes, where ours is not; else empty."""
-        ours, theirs = self.truth_to_fixes or (0.0, 0.0)
-        if theirs < ELSEWHERE or theirs < CLEARLY * ours:
-            return ""
-        return (
-            f"the truth is {_metres(theirs)} from the receiver's fixes too (is it of this flight?)"
-        )
 
 
 class Reasons(NamedTuple):
@@ -142,9 +94,14 @@ class Judgement:
         return f"{self.grade}: {', '.join(words)}"
 
 
+def judge_log(report: Report) -> Judgement:
+    """Judge a conversion by the truth that its log holds, else by the other witnesses in it."""
+    return judge(report, evidence_of(report))
+
+
 def judge(report: Report, evidence: Evidence) -> Judgement:
     """Judge the estimate of a whole log."""
-    spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
+    spent = sum(report.seconds.get(one, 0.0) for one in Status if one >= Status.OK)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
     parts = [_of_table(report), _of_stamps(report), _of_gap(report)]
     parts += [_of_left_out(report), _of_samples(rate), _of_file(report)]
@@ -202,14 +159,10 @@ def _horizontal(evidence: Evidence) -> str:
 
 
 def _words(words: str, size: Size) -> str:
-    text = words.format(_metres(size.rms, 1))
+    text = words.format(metres(size.rms, 1))
     if size.worst > max(PEAK * size.rms, NEAR):
-        text += f" ({_metres(size.worst, int(size.worst < 10.0))} at {size.at_s:.0f} s)"
+        text += f" ({metres(size.worst, int(size.worst < 10.0))} at {size.at_s:.0f} s)"
     return text
-
-
-def _metres(size: float, digits: int = 0) -> str:
-    return f"{size:.{digits}f} m" if size < 1e5 else f"{size * 1e-3:.0f} km"
 
 
 def _of_position(evidence: Evidence) -> Reasons:
@@ -333,7 +286,7 @@ def _of_samples(rate: float) -> Reasons:
     words = f"inertial samples at {rate:.3g} Hz"
     if rate < SLOW:
         words += f" ({SLOW:.0f} Hz or more would do)"
-    return Reasons(fair=(words,) if rate < FAST_ENOUGH else ())
+    return Reasons(fair=(words,) if rate < DECIMATED else ())
 
 
 def _of_file(report: Report) -> Reasons:

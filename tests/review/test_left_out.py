@@ -10,8 +10,9 @@ from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
 from ekf_companion.replay.log_source import open_log
+from ekf_companion.review.evidence import Evidence
 from ekf_companion.review.left_out import NO_FIELD, VERTICAL_ZERO, LeftOut, of_telemetry
-from ekf_companion.review.verdict import Evidence, judge
+from ekf_companion.review.verdict import judge
 from tests.rows import BOOT_NS, FORMATS, UTC_ZERO_US, Rows, convert, write
 
 TABLES = ("csv", "bin", "ulg")

@@ -12,9 +12,10 @@ from ekf_companion.logs.recording import Damage
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 from ekf_companion.review.departure import YAW, Angle, Departure, Excess, Height
+from ekf_companion.review.evidence import Evidence
 from ekf_companion.review.report import Report
 from ekf_companion.review.track import Size
-from ekf_companion.review.verdict import Evidence, judge
+from ekf_companion.review.verdict import judge
 
 HEALTH = Pipeline(FilterSettings()).health()
 SURE = Evidence(sigma=Size(0.4, 0.5, 10.0))

@@ -11,9 +11,9 @@ from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import COLUMNS, GEODETIC, QUATERNION, Status, Trajectory
-from ekf_companion.review.judgement import judge_log
 from ekf_companion.review.report import Report, summary
 from ekf_companion.review.track import Track
+from ekf_companion.review.verdict import judge_log
 from tests.review.test_track import NONE, SECOND_NS, table_of
 
 T_S = np.arange(0.0, 100.0, 0.05)

@@ -1,8 +1,9 @@
-"""The one judgement on a log that convert, report, view and batch print."""
+"""The evidence on an estimate: how far it is from the truth, the autopilot's and the receiver's."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,13 +12,65 @@ from ekf_companion.nav.arrays import Array, median
 from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import Trajectory
 from ekf_companion.review import difference
+from ekf_companion.review.departure import Departure
 from ekf_companion.review.report import Report
 from ekf_companion.review.track import Size
-from ekf_companion.review.verdict import Evidence, Judgement, judge
 from ekf_companion.review.witness import departure_of
 
 FEWEST_FIXES = 20
 """Fixes from which on the receiver is a witness."""
+NEAR = 2.0
+"""Horizontal difference from a truth, m RMS, up to which an estimate is right: a receiver alone has
+1 to 2 m."""
+CLEARLY = 1.5
+"""Of two estimates the receiver agrees with the one that is that many times nearer to it."""
+ELSEWHERE = 20.0
+"""m from the fixes, in the median: a receiver is not so far from a truth for half a flight."""
+
+
+class Evidence(NamedTuple):
+    """What an estimate's horizontal position is judged by, as far as the log holds it."""
+
+    sigma: Size | None = None
+    """One sigma, by the estimate itself."""
+    truth: Size | None = None
+    """Distance from the truth."""
+    autopilot: Size | None = None
+    """Distance from the autopilot's own estimate."""
+    to_fixes: tuple[float, float] | None = None
+    """RMS distances of ours and of the autopilot's from the receiver's fixes, m."""
+
+    truth_to_fixes: tuple[float, float] | None = None
+    """Median distances of ours and of the truth from the receiver's fixes, m."""
+    departure: Departure = Departure()
+    """How far yaw, tilt and height are from the truth, else from the autopilot's."""
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the truth says that the flight is estimated right, whatever the filter doubts."""
+        return self.truth is not None and self.truth.rms <= NEAR and self.departure.is_close
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether another estimate of the same flight, the autopilot's, says the same."""
+        if self.truth is not None or self.autopilot is None:
+            return False
+        return self.autopilot.rms <= NEAR and self.departure.is_close
+
+    @property
+    def truth_elsewhere(self) -> str:
+        """Ask for a truth that is far from the receiver's fixes, where ours is not; else empty."""
+        ours, theirs = self.truth_to_fixes or (0.0, 0.0)
+        if theirs < ELSEWHERE or theirs < CLEARLY * ours:
+            return ""
+        return (
+            f"the truth is {metres(theirs)} from the receiver's fixes too (is it of this flight?)"
+        )
+
+
+def metres(size: float, digits: int = 0) -> str:
+    """Return a distance, m, in words."""
+    return f"{size:.{digits}f} m" if size < 1e5 else f"{size * 1e-3:.0f} km"
 
 
 def take_truth(report: Report, truth: Trajectory | None) -> None:
@@ -47,11 +100,6 @@ def take_truth(report: Report, truth: Trajectory | None) -> None:
             f"{truth.name} has no time in common with the estimate after its first {seconds:.0f} s "
             "with a position, so the verdict is without it"
         )
-
-
-def judge_log(report: Report) -> Judgement:
-    """Judge a conversion by the truth that its log holds, else by the other witnesses in it."""
-    return judge(report, evidence_of(report))
 
 
 def evidence_of(report: Report) -> Evidence:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from ekf_companion.cli import app
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Trajectory
-from ekf_companion.review.judgement import evidence_of
+from ekf_companion.review.evidence import evidence_of
 from ekf_companion.review.report import Report
 from sim_autopilot.__main__ import app as sim
 from tests.review.test_track import SECOND_NS, events_of, table_of
