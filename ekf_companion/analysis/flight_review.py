@@ -140,9 +140,8 @@ def review(
             another time.
     """
     examined = Review(path, config, WatchedPipeline)
-    run = examined.run
-    blocks = list(run.blocks(progress))
-    report = examined.finish()
+    blocks = list(examined.blocks(progress))
+    run, report = examined.run, examined.finish()
     take_truth(report, truth)
     stretches = report.track.stretches
     shifts_ns = stretches.shifts_ns()

@@ -149,20 +149,13 @@ P = TypeVar("P", bound=BlockPipeline)
 class Run(Generic[P]):
     """One log through pipelines of one kind, a new one for each autopilot that is found in it."""
 
-    def __init__(
-        self,
-        path: Path,
-        config: Config,
-        kind: Callable[..., P],
-        on_block: Callable[[Block], object] | None = None,
-    ) -> None:
+    def __init__(self, path: Path, config: Config, kind: Callable[..., P]) -> None:
         """Open a log.
 
         Args:
             path: The log.
             config: The estimator's configuration, and the link's: which autopilot is listened to.
             kind: The class of the pipelines.
-            on_block: Called with each block, in order, before it is yielded.
 
         Raises:
             LogError: The log cannot be read, or is of an unknown kind.
@@ -180,7 +173,7 @@ class Run(Generic[P]):
         """Whose inertial samples a .tlog holds that were not asked for, in words."""
         self.screen = Screen()
         """Counts what of columns is no measurement."""
-        self._config, self._kind, self._on_block = config, kind, on_block
+        self._config, self._kind = config, kind
         self._blocks: list[Block] = []  # of all pipelines, not yet yielded
         self._done = 0  # frames or measurements so far
         self._vehicles: Vehicles | None = None  # of a .tlog
@@ -200,11 +193,13 @@ class Run(Generic[P]):
                 yield from self._take_blocks(progress, being_processed=1)
         yield from self._take_blocks(progress)
 
-    def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
+    def messages(
+        self, on_block: Callable[[Block], object], progress: Progress | None = None
+    ) -> Iterator[tuple[int, bytes]]:
         """Process the log, and yield frames with their stamps (us).
 
         They are those of the log, and behind the sample that makes each due the messages about the
-        estimates, as the daemon sends them.
+        estimates, as the daemon sends them. ``on_block`` is called with each block.
         """
         from ekf_companion.mavlink.codec import Sender
 
@@ -216,8 +211,8 @@ class Run(Generic[P]):
             for message in messages:
                 ours.system_id = self._system_id
                 yield stamp_us, ours.frame(message.name, message.payload)
-            if self._blocks:
-                self._take_blocks(progress)
+            for block in self._take_blocks(progress) if self._blocks else ():
+                on_block(block)
 
     @property
     def family(self) -> str:
@@ -350,9 +345,6 @@ class Run(Generic[P]):
         """Return the blocks that are due, but for the last ones."""
         blocks = self._blocks[: len(self._blocks) - being_processed]
         del self._blocks[: len(blocks)]  # the pipelines hold on to the list
-        if self._on_block is not None:
-            for block in blocks:
-                self._on_block(block)
         if progress is not None:
             progress(self._done, self.size)
         return blocks

@@ -94,7 +94,7 @@ def _convert_to_files(
             tables = _smoothed(review, progress)
         else:
             review = Review(path, config, BlockPipeline)
-            tables = (block.table for block in review.run.blocks(progress))
+            tables = (block.table for block in review.blocks(progress))
         run = review.run
         label = cache(lambda: Label(path.name, utc_zero_ns(run.log, run.autopilot)))
         writers = [
@@ -119,7 +119,7 @@ def _convert_to_messages(
     if isinstance(log, Recording) and log.events.t_ns.min(initial=0) < 0:
         raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
     with create(out) as file:
-        for stamp_us, frame in review.run.messages(progress):
+        for stamp_us, frame in review.messages(progress):
             file.write(stamp_us.to_bytes(8, "big") + frame)
     return review.finish()
 
@@ -163,7 +163,7 @@ def estimate(path: Path, config: Config, progress: Progress | None = None) -> tu
         LogError: As :func:`convert`.
     """
     review = Review(path, config, BlockPipeline)
-    tables = [block.table for block in review.run.blocks(progress)]
+    tables = [block.table for block in review.blocks(progress)]
     return join(tables), review.finish()
 
 
@@ -195,7 +195,7 @@ def _smoothed(
         if progress is not None:
             progress(total + done, 2 * total)
 
-    for block in review.run.blocks(forward):
+    for block in review.blocks(forward):
         if live is not None:
             live.append(block.table)
     review.compare_sensors()

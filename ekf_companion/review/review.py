@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -12,7 +12,7 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.log_source import reference, truth
-from ekf_companion.replay.run import Block, BlockPipeline, Run
+from ekf_companion.replay.run import Block, BlockPipeline, Progress, Run
 from ekf_companion.review import left_out, stamps
 from ekf_companion.review.magnetometer import MagnetometerCheck
 from ekf_companion.review.receivers import ReceiverCheck
@@ -29,7 +29,7 @@ class Review(Generic[P]):
 
     def __init__(self, path: Path, config: Config, kind: Callable[..., P]) -> None:
         """Open a log; arguments and errors as for :class:`ekf_companion.replay.run.Run`."""
-        self.run = Run(path, config, kind, self._add)
+        self.run = Run(path, config, kind)
         self._path, self._config = path, config
         log = self.run.log
         self._report = Report(log=str(path), damage=log.damage)
@@ -45,6 +45,16 @@ class Review(Generic[P]):
             from ekf_companion.review.agreement import AgreementCheck
 
             self._agreement = AgreementCheck(config.gnss.delay)
+
+    def blocks(self, progress: Progress | None = None) -> Iterator[Block]:
+        """Process the log, look at each block, and yield it."""
+        for block in self.run.blocks(progress):
+            self._add(block)
+            yield block
+
+    def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
+        """Process the log, and yield frames with their stamps (us), as the daemon sends them."""
+        return self.run.messages(self._add, progress)
 
     def _add(self, block: Block) -> None:
         add_block(self._report, block.events, block.table)
