@@ -150,10 +150,8 @@ def review(
     known = [one for one in (report.truth, report.own) if one is not None]
     shift_ns = int(shifts_ns[stretches.longest])
     others = tuple(_moved(one, shift_ns, zero) for one in known)
-    pipelines = run.pipelines
-    looks = [look for pipeline in pipelines for look in pipeline.looks]
-    family = pipelines[-1].family if pipelines else "unknown"
-    late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
+    looks = [look for pipeline in run.pipelines for look in pipeline.looks]
+    late_ns = int(delays_ns(config, run.family, run.gnss_delay)[Kind.GNSS])
     fixes = events.take(of_receiver(events) & known_rows(events.values[:, :3]))
     return FlightReview(
         name=path.name,

@@ -217,9 +217,7 @@ class Run(Generic[P]):
     @property
     def family(self) -> str:
         """Firmware of the autopilot that is listened to; ``unknown``: none is yet."""
-        if isinstance(self.log, Recording):
-            return self.log.family
-        return "unknown" if self._vehicles is None else self._vehicles.family
+        return self.pipelines[-1].family if self.pipelines else "unknown"
 
     @property
     def autopilot(self) -> Autopilot | None:

@@ -35,8 +35,6 @@ class Vehicles:
         ``wanted`` is the system id of the configuration; sentences are added to ``notes``.
         """
         self._wanted, self._notes = wanted, notes
-        self.family = "unknown"
-        """Firmware of who is listened to."""
         self._senders = senders(log)
         self._silent = unannounced(self._senders, wanted)
         self._found: list[tuple[Vehicle, Measured]] = []
@@ -60,7 +58,6 @@ class Vehicles:
                 "there"
             )
         self._found += [(vehicle, pipeline) for pipeline in pipelines]
-        self.family = vehicle.family
         return True
 
     def finish(self, companion: Companion) -> None:

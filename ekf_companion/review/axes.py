@@ -25,13 +25,12 @@ import numpy as np
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import STANDARD_GRAVITY
-from ekf_companion.nav.measurements import GNSS_VELOCITY, Events
+from ekf_companion.nav.measurements import Events
 from ekf_companion.review.turns import (
     DEGREES,
     EXCHANGED,
     IN_DEGREES,
     IN_RADIANS,
-    LARGEST,
     RATE,
     SIGNED,
     at,
@@ -40,7 +39,8 @@ from ekf_companion.review.turns import (
     named,
     spelled,
     spread,
-    usable,
+    variation,
+    velocities,
 )
 
 SECONDS = 6
@@ -108,14 +108,10 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
         of velocity less gravity, m/s, shape (delays, windows, SECONDS, 3). None: too few windows.
     """
     t, gyro, accel, is_full = averaged(imu)
-    known = usable(fixes.values[:, GNSS_VELOCITY][:, :2])
-    t_fix = np.asarray(fixes.t_ns[known] * 1e-9)
-    vel_n = fixes.values[known, GNSS_VELOCITY]
+    t_fix, vel_n = velocities(fixes)
     length = SECONDS * int(RATE)
     if len(t_fix) < 2 or len(t) <= length:
         return None
-    # Receivers that give no vertical velocity leave a little more, of all axes
-    vel_n = np.where(np.abs(vel_n) < LARGEST, vel_n, 0.0)
     starts = np.arange(0, len(t) - length, length)
     edges = t[starts, None] - 0.5 / RATE + np.arange(SECONDS + 1)
     inside = (edges[:, 0] > t_fix[0]) & (edges[:, -1] + DELAYS[-1] < t_fix[-1])
@@ -124,9 +120,7 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
     inside &= np.array([is_full[first : first + length].mean() > 0.9 for first in starts])
     starts, edges = starts[inside], edges[inside]
     change = np.stack([np.diff(at(t_fix, vel_n, edges + delay), axis=1) for delay in DELAYS])
-    level = change[0, ..., :2]
-    varies = level - level.mean(axis=1, keepdims=True)
-    moved = np.flatnonzero(np.sqrt(np.square(varies).sum(axis=2).mean(axis=1)) > CHANGE)
+    moved = np.flatnonzero(variation(change[0, ..., :2]) > CHANGE)
     if len(moved) < FEWEST:
         return None
     moved = spread(moved, MOST)

@@ -22,7 +22,7 @@ import numpy as np
 
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.earth import STANDARD_GRAVITY
-from ekf_companion.nav.measurements import GNSS_VELOCITY, Events
+from ekf_companion.nav.measurements import Events
 from ekf_companion.review.axes import (
     CHANGE,
     DELAYS,
@@ -33,7 +33,15 @@ from ekf_companion.review.axes import (
     integrated_force,
     rest_of_rotation,
 )
-from ekf_companion.review.turns import ALIKE, LARGEST, RATE, at, averaged, fits_better, usable
+from ekf_companion.review.turns import (
+    ALIKE,
+    RATE,
+    at,
+    averaged,
+    fits_better,
+    variation,
+    velocities,
+)
 from ekf_companion.review.turns import spread as evenly
 
 FARTHEST, STEP, FINE = 30.0, 0.5, 0.1
@@ -111,10 +119,7 @@ class _Windows:
 
     def __init__(self, imu: Events, fixes: Events) -> None:
         t, gyro, accel, is_full = averaged(imu)
-        known = usable(fixes.values[:, GNSS_VELOCITY][:, :2])
-        vel_n = fixes.values[known, GNSS_VELOCITY]
-        self._t_fix: Array = np.asarray(fixes.t_ns[known] * 1e-9)
-        self._vel_n = np.where(np.abs(vel_n) < LARGEST, vel_n, 0.0)
+        self._t_fix, self._vel_n = velocities(fixes)
         self._is_gap: Mask = np.concatenate([[True], np.diff(self._t_fix) > GAP, [True]])
         self.count = 0
         length = SECONDS * int(RATE)
@@ -128,9 +133,7 @@ class _Windows:
             part[rows].reshape(-1, MEANS, len(starts), 3).mean(axis=1) for part in (gyro, accel)
         )
         force = integrated_force(rates, forces, nothing, nothing, RATE / MEANS)[0]
-        varies = force - force.mean(axis=1, keepdims=True)
-        moved = np.sqrt(np.square(varies).sum(axis=2).mean(axis=1)) > CHANGE
-        chosen = evenly(np.flatnonzero(moved), MOST)
+        chosen = evenly(np.flatnonzero(variation(force) > CHANGE), MOST)
         self.count = len(chosen)
         self._force = force[chosen]
         self._edges = t[starts[chosen], None] - 0.5 / RATE + np.arange(SECONDS + 1)

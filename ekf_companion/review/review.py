@@ -85,7 +85,7 @@ class Review(Generic[P]):
         report.elsewhere = run.elsewhere
         if run.pipelines:
             report.health = health = run.pipelines[-1].health()
-            late = delays_ns(self._config, run.pipelines[-1].family, run.gnss_delay)
+            late = delays_ns(self._config, run.family, run.gnss_delay)
             resets = sum(one.resets - one.reboots for one in run.pipelines)
             report.other_resets = resets - (health.resets - report.reboots)
             report.last_reset = next(

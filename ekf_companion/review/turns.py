@@ -8,7 +8,7 @@ from itertools import permutations, product
 import numpy as np
 
 from ekf_companion.nav.arrays import Array, Indices, Mask
-from ekf_companion.nav.measurements import Events
+from ekf_companion.nav.measurements import GNSS_VELOCITY, Events
 
 RATE = 50.0
 """Hz to which the samples are averaged: enough for turns, and few."""
@@ -49,6 +49,26 @@ def averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
     sums = np.stack([np.bincount(place, column, size) for column in values.T], axis=1)
     means: Array = sums / np.maximum(count, 1)[:, None]
     return t[0] + (np.arange(size) + 0.5) / RATE, means[:, :3], means[:, 3:], np.asarray(count > 0)
+
+
+def velocities(fixes: Events) -> tuple[Array, Array]:
+    """Return times, s, and velocities north, east, down of fixes that have one, m/s.
+
+    A vertical velocity that is not known is 0: then all axes leave a little more.
+    """
+    known = usable(fixes.values[:, GNSS_VELOCITY][:, :2])
+    vel_n = fixes.values[known, GNSS_VELOCITY]
+    return np.asarray(fixes.t_ns[known] * 1e-9), np.where(np.abs(vel_n) < LARGEST, vel_n, 0.0)
+
+
+def variation(vectors: Array) -> Array:
+    """Return how much vectors of a window vary about their mean, RMS, shape (windows,).
+
+    Args:
+        vectors: Shape (windows, n, axes).
+    """
+    varies = vectors - vectors.mean(axis=1, keepdims=True)
+    return np.asarray(np.sqrt(np.square(varies).sum(axis=2).mean(axis=1)))
 
 
 def usable(values: Array) -> Mask:
