@@ -45,6 +45,14 @@ def in_position(
     return found.at_ns, found.difference(mine, theirs)
 
 
+def once_settled(estimate: Trajectory, reference: Trajectory) -> tuple[Stamps, Array] | None:
+    """Return :func:`in_position` of the time after the start, ``SETTLED_NS``."""
+    if not len(estimate.pos_t_ns):
+        return None
+    begin_ns = int(estimate.pos_t_ns[0]) + SETTLED_NS
+    return in_position(estimate, reference, (begin_ns, int(estimate.pos_t_ns[-1])))
+
+
 def in_velocity(
     estimate: Trajectory, reference: Trajectory, span: Span = ALWAYS
 ) -> tuple[Stamps, Array] | None:

@@ -117,11 +117,7 @@ def evidence_of(report: Report) -> Evidence:
 
 def _apart(report: Report, ours: Trajectory, other: Trajectory | None) -> Size | None:
     """Return the horizontal distance from another, once ours has settled; None: not known."""
-    if other is None or not len(ours.pos_t_ns) or not len(other.pos_t_ns):
-        return None
-    begin_ns = int(ours.pos_t_ns[0]) + difference.SETTLED_NS
-    found = difference.in_position(ours, other, (begin_ns, int(ours.pos_t_ns[-1])))
-    if found is None:
+    if other is None or (found := difference.once_settled(ours, other)) is None:
         return None
     at_ns, errors = found
     distances = np.hypot(errors[:, 0], errors[:, 1])

@@ -142,11 +142,7 @@ def _excess(
 
 
 def _height(report: Report, ours: Trajectory, other: Trajectory) -> Height | None:
-    if not len(ours.pos_t_ns) or not len(other.pos_t_ns):
-        return None
-    begin_ns = int(ours.pos_t_ns[0]) + difference.SETTLED_NS
-    found = difference.in_position(ours, other, (begin_ns, int(ours.pos_t_ns[-1])))
-    if found is None:
+    if (found := difference.once_settled(ours, other)) is None:
         return None
     at_ns, errors = found
     is_known = np.isfinite(errors[:, 2])
