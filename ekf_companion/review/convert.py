@@ -1,4 +1,4 @@
-"""Recorded flights in, estimates out: as files, as tables, or as measurements alone."""
+"""Convert recorded flights to estimates, as files or tables, and report on each."""
 
 from __future__ import annotations
 
