@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ekf_companion.engine.health import DECIMATED, Aid, Verdict, fused_of, refused_of
+from ekf_companion.engine.health import Aid, Verdict, fused_of, refused_of
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.reason import to_words
@@ -21,6 +21,8 @@ FAR = 5.0
 """Horizontal difference from a truth, m RMS, that is poor; beyond ``NEAR`` it is fair."""
 PEAK = 2.0
 """The worst moment is named where it is that many times the RMS, and more than ``NEAR``."""
+FAST_ENOUGH = 50.0
+"""Inertial samples per second, Hz, below which an estimate is no more than fair."""
 SHORT_S = 15.0
 """Time below which nothing can be judged, s: a filter is settling still."""
 SHORT_GAP, LONG_GAP = 1.0, 5.0
@@ -286,7 +288,7 @@ def _of_samples(rate: float) -> Reasons:
     words = f"inertial samples at {rate:.3g} Hz"
     if rate < SLOW:
         words += f" ({SLOW:.0f} Hz or more would do)"
-    return Reasons(fair=(words,) if rate < DECIMATED else ())
+    return Reasons(fair=(words,) if rate < FAST_ENOUGH else ())
 
 
 def _of_file(report: Report) -> Reasons:

@@ -223,6 +223,7 @@ def test_a_slow_or_short_log_is_called_that_and_not_poor():
     short = report({Status.ALIGNING: 4.1, Status.DEGRADED: 2.4})
     assert judge(short, SURE).sentence.startswith("short: 6 s are too few to judge")
     assert judge(report(imu=25.0), SURE).grade == "fair"
+    assert judge(report(imu=50.0), SURE).grade == "good"
 
 
 def test_damage_and_loss_are_said_and_count_once_they_are_much():
