@@ -1,4 +1,4 @@
-"""The state over HTTP, served beside the loop: it answers also while the loop stalls, and says so.
+"""The state over HTTP, served on threads: it answers also while the loop stalls, and reports that.
 
 One thread accepts connections, and each is answered on a thread of its own. A viewer of the page
 keeps its connection and its thread.

@@ -1,4 +1,4 @@
-"""Snapshots of the daemon for other threads: taken in the loop, whole and at one moment."""
+"""Snapshots of the daemon for other threads, taken in the loop at one moment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ekf_companion.status.snapshot import Snapshot
 T = TypeVar("T")
 
 PATIENCE = 1.0
-"""Seconds that the loop has to answer."""
+"""Seconds to wait for the loop."""
 FRESH = 0.2
 """Seconds for which one snapshot serves all requests."""
 HOST_EVERY = 2.0
@@ -72,7 +72,7 @@ class SnapshotSource:
         return self._live
 
     def _call(self, take: Callable[[], T]) -> Future[T] | None:
-        """Have something called in the loop; return None if the loop has ended."""
+        """Have a function called in the loop; return None if the loop has ended."""
         request: Future[T] = Future()
 
         def answer() -> None:

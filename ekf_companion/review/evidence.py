@@ -18,7 +18,7 @@ from ekf_companion.review.track import Size
 from ekf_companion.review.witness import departure_of
 
 FEWEST_FIXES = 20
-"""Fixes from which on the receiver is a witness."""
+"""Fewest fixes by which two estimates are compared with the receiver."""
 NEAR = 2.0
 """Horizontal difference from a truth, m RMS, up to which an estimate is right: a receiver alone has
 1 to 2 m."""
@@ -103,7 +103,7 @@ def take_truth(report: Report, truth: Trajectory | None) -> None:
 
 
 def evidence_of(report: Report) -> Evidence:
-    """Return how far the estimate is from what else knew the position."""
+    """Return how far the estimate is from other sources of the position."""
     ours = report.track.positions()
     return Evidence(
         sigma=report.track.sigma(),
@@ -133,7 +133,7 @@ def _median(values: Array) -> float:
 def _to_fixes(
     report: Report, ours: Trajectory, other: Trajectory | None, size: Callable[[Array], float]
 ) -> tuple[float, float] | None:
-    """Return sizes of the distances of ours and another from the same fixes, m; None: too few."""
+    """Return the distances of ours and of another from the same fixes, m; None: too few."""
     if other is None or len(other.pos_t_ns) < 2 or len(ours.pos_t_ns) < 2:
         return None
     fixes = report.track.fixes(report.fix_delay)

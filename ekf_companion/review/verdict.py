@@ -97,7 +97,7 @@ class Judgement:
 
 
 def judge_log(report: Report) -> Judgement:
-    """Judge a conversion by the truth that its log holds, else by the other witnesses in it."""
+    """Judge a conversion by the truth in its log, else by the other references in it."""
     return judge(report, evidence_of(report))
 
 
