@@ -164,7 +164,8 @@ def estimate(path: Path, config: Config, progress: Progress | None = None) -> tu
     """
     review = Review(path, config, BlockPipeline)
     tables = [block.table for block in review.blocks(progress)]
-    return join(tables), review.finish()
+    report = review.finish()  # raises where there is no table
+    return join(tables), report
 
 
 def estimate_and_smooth(
