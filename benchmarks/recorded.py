@@ -12,9 +12,10 @@ from ekf_companion.config.config import Config
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table
-from ekf_companion.replay import convert
 from ekf_companion.replay.log_source import READERS, open_log, reference, truth
 from ekf_companion.replay.run import IdlePipeline, Run
+from ekf_companion.review import convert
+from ekf_companion.review.report import Report
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +60,7 @@ POOR = (
 )
 """Damaged, slow, or without GNSS."""
 
-Estimated = tuple[Table, convert.Report]
+Estimated = tuple[Table, Report]
 
 
 @cache
@@ -79,7 +80,7 @@ def recorded(path: Path) -> Recording:
     run = Run(path, Config(), IdlePipeline)  # a .tlog becomes events only by a session
     parts = [block.events for block in run.blocks()]
     return Recording(
-        family=run.report.family,
+        family=run.family,
         # in the order in which they came: merge keeps it where arrivals are equal
         events=merge(*parts, arrival_ns=[np.zeros(len(one), dtype=np.int64) for one in parts]),
         reference=reference(run.log),

@@ -21,8 +21,10 @@ Rooms, from the bottom up; imports point down only
     replay     logs in, estimates out
     status     one Snapshot: what the status, the metrics and the doctor read
     calibrate  numbers of the configuration, measured from logs
-    daemon     the shells of the service: loop, files, HTTP, systemd
+    review     what a log is good for: its sensors, its estimate, a verdict
+    arrays     arrays or samples of your own in, a trajectory out
     analysis   what one asks of estimates: scores, comparisons, figures
+    daemon     the shells of the service: loop, files, HTTP, systemd
     doctor     what is wrong on this link, and what to do
     cli        the commands
 
@@ -40,20 +42,19 @@ from typing import TYPE_CHECKING, Any
 from ekf_companion.version import __version__
 
 if TYPE_CHECKING:
-    from ekf_companion.filters.own_aid import OwnAid
-    from ekf_companion.replay.array_types import (
-        FilterName,
+    from ekf_companion.arrays.estimates import Estimates
+    from ekf_companion.arrays.run import estimate
+    from ekf_companion.arrays.stream import Stream, StreamEstimate
+    from ekf_companion.arrays.types import (
         Fixes,
         Headings,
         Heights,
         MagneticField,
         Units,
     )
-    from ekf_companion.replay.arrays import estimate
-    from ekf_companion.replay.convert import read as open_log
-    from ekf_companion.replay.estimates import Estimates
-    from ekf_companion.replay.filters_by_name import run_filter
-    from ekf_companion.replay.stream import Stream, StreamEstimate
+    from ekf_companion.filters.own_aid import OwnAid
+    from ekf_companion.replay.filters_by_name import FilterName, run_filter
+    from ekf_companion.replay.read import read as open_log
 
 __all__ = [
     "Estimates",
@@ -72,18 +73,18 @@ __all__ = [
     "run_filter",
 ]
 _PLACES = {
-    "Estimates": ("replay.estimates", "Estimates"),
-    "FilterName": ("replay.array_types", "FilterName"),
-    "Fixes": ("replay.array_types", "Fixes"),
-    "Headings": ("replay.array_types", "Headings"),
-    "Heights": ("replay.array_types", "Heights"),
-    "MagneticField": ("replay.array_types", "MagneticField"),
+    "Estimates": ("arrays.estimates", "Estimates"),
+    "FilterName": ("replay.filters_by_name", "FilterName"),
+    "Fixes": ("arrays.types", "Fixes"),
+    "Headings": ("arrays.types", "Headings"),
+    "Heights": ("arrays.types", "Heights"),
+    "MagneticField": ("arrays.types", "MagneticField"),
     "OwnAid": ("filters.own_aid", "OwnAid"),
-    "Stream": ("replay.stream", "Stream"),
-    "StreamEstimate": ("replay.stream", "StreamEstimate"),
-    "Units": ("replay.array_types", "Units"),
-    "estimate": ("replay.arrays", "estimate"),
-    "open_log": ("replay.convert", "read"),
+    "Stream": ("arrays.stream", "Stream"),
+    "StreamEstimate": ("arrays.stream", "StreamEstimate"),
+    "Units": ("arrays.types", "Units"),
+    "estimate": ("arrays.run", "estimate"),
+    "open_log": ("replay.read", "read"),
     "run_filter": ("replay.filters_by_name", "run_filter"),
 }
 

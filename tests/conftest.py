@@ -23,7 +23,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
 SLOWEST = (
     "tests/analysis/test_report_page.py",
-    "tests/replay/test_python_docs.py",
+    "tests/arrays/test_python_docs.py",
     "tests/daemon/test_page.py",
     "tests/engine/test_stamps.py",
     "tests/analysis/test_batch.py",
@@ -34,12 +34,12 @@ SLOWEST = (
     "tests/engine/test_spares.py",
     "tests/cli/test_preflight.py",
     "tests/engine/test_guard.py",
-    "tests/replay/test_arrays.py",
+    "tests/arrays/test_run.py",
     "tests/doctor/test_faults.py",
     "tests/replay/test_smoothing.py",
     "tests/daemon/test_signed_daemon.py",
     "tests/daemon/test_time.py",
-    "tests/analysis/test_judgement.py",
+    "tests/review/test_evidence.py",
     "tests/daemon/test_http.py",
     "tests/sim/test_demo.py",
     "tests/status/test_progress.py",

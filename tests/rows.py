@@ -16,7 +16,7 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.replay.convert import estimate
+from ekf_companion.review.convert import estimate
 from sim_autopilot.config import ImuConfig, SimConfig
 from sim_autopilot.events import events, truth
 from sim_autopilot.flight import Flight

@@ -43,9 +43,9 @@ from ekf_companion.link.address import parse_url
 from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog
 from ekf_companion.nav.state import COLUMNS
-from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
-from ekf_companion.replay.convert import read as read_recording
 from ekf_companion.replay.filters_by_name import FILTERS, run_filter
+from ekf_companion.replay.read import read as read_recording
+from ekf_companion.review.convert import convert, estimate, estimate_and_smooth
 from ekf_companion.status.host import Host
 from ekf_companion.status.observer import Observer
 from sim_autopilot.config import SimConfig

@@ -32,7 +32,7 @@ with atheris.instrument_imports(include=["ekf_companion.mavlink", "ekf_companion
     from benchmarks.reliability.fuzz import FuzzedCompanion, undisturbed
     from ekf_companion.config.config import Config
     from ekf_companion.errors import LogError
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
     from sim_autopilot.autopilot import Autopilot
     from sim_autopilot.config import SimConfig
     from sim_autopilot.flight import Flight

@@ -16,7 +16,7 @@ from benchmarks.truth.cases import generate
 from benchmarks.truth.judge import Verdict, judge, read_estimate
 from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError
-from ekf_companion.replay import convert
+from ekf_companion.review import convert
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.analysis.difference import rms
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import QUATERNION, Status, Table, Trajectory
+from ekf_companion.review.difference import rms
 
 LONGEST_GAP_NS = 100_000_000
 """Longest step between two estimates that is interpolated over."""

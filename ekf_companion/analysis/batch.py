@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.analysis import score
-from ekf_companion.analysis.judgement import judge_log
 from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
@@ -19,8 +18,9 @@ from ekf_companion.logs.recording import counted
 from ekf_companion.logs.source import real_path, suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
-from ekf_companion.replay import convert
-from ekf_companion.replay.report import Report
+from ekf_companion.review import convert
+from ekf_companion.review.report import Report
+from ekf_companion.review.verdict import judge_log
 
 Row = dict[str, str | int | float | None]
 """Results of one log, by column; None: not known."""

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis import attitude, difference
+from ekf_companion.analysis import attitude
 from ekf_companion.analysis.closure import closure
 from ekf_companion.analysis.consistency import nees
-from ekf_companion.analysis.difference import euler_errors, rms, tilt_errors
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError, MissingPackageError
 from ekf_companion.filters.solution import Solution
@@ -23,6 +22,8 @@ from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import EULER, Trajectory
 from ekf_companion.replay.filters_by_name import parse_name, run_filter
+from ekf_companion.review import difference
+from ekf_companion.review.difference import euler_errors, rms, tilt_errors
 
 Progress = Callable[[int, int], None]
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis import difference
 from ekf_companion.analysis.gaps import GAP_NS
 from ekf_companion.analysis.score import Score, score
 from ekf_companion.logs.estimate import of_table
@@ -16,7 +15,8 @@ from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import GEODETIC, VELOCITY, Status, Table, Trajectory
-from ekf_companion.replay.track import SLOT_NS
+from ekf_companion.review import difference
+from ekf_companion.review.track import SLOT_NS
 
 LEG = 1.0
 """m; what moves less since the last corner of a way is the estimate that wanders at rest."""

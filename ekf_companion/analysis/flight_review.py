@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.analysis.flight_numbers import Numbers, numbers
-from ekf_companion.analysis.judgement import judge_log, take_truth
 from ekf_companion.analysis.status_bands import Band, bands
 from ekf_companion.config.config import Config
 from ekf_companion.config.keys import KEYS, value_of
@@ -24,11 +23,13 @@ from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
 from ekf_companion.replay.log_source import onboard
-from ekf_companion.replay.report import Report
-from ekf_companion.replay.run import Block, Progress, Run
-from ekf_companion.replay.stretches import Stretches, of_events
-from ekf_companion.replay.verdict import Judgement
+from ekf_companion.replay.run import Block, Progress
 from ekf_companion.replay.watched import Look, WatchedPipeline
+from ekf_companion.review.evidence import take_truth
+from ekf_companion.review.report import Report
+from ekf_companion.review.review import Review
+from ekf_companion.review.stretches import Stretches, of_events
+from ekf_companion.review.verdict import Judgement, judge_log
 
 SEGMENT = 1024
 """Samples of a piece of the spectrum."""
@@ -139,9 +140,9 @@ def review(
         LogError: The log cannot be read, nothing can be estimated from it, or the truth is of
             another time.
     """
-    run = Run(path, config, WatchedPipeline)
-    blocks = list(run.blocks(progress))
-    report = run.finish()
+    examined = Review(path, config, WatchedPipeline)
+    blocks = list(examined.blocks(progress))
+    run, report = examined.run, examined.finish()
     take_truth(report, truth)
     stretches = report.track.stretches
     shifts_ns = stretches.shifts_ns()
@@ -150,10 +151,8 @@ def review(
     known = [one for one in (report.truth, report.own) if one is not None]
     shift_ns = int(shifts_ns[stretches.longest])
     others = tuple(_moved(one, shift_ns, zero) for one in known)
-    pipelines = run.pipelines
-    looks = [look for pipeline in pipelines for look in pipeline.looks]
-    family = pipelines[-1].family if pipelines else "unknown"
-    late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
+    looks = [look for pipeline in run.pipelines for look in pipeline.looks]
+    late_ns = int(delays_ns(config, run.family, run.gnss_delay)[Kind.GNSS])
     fixes = events.take(of_receiver(events) & known_rows(events.values[:, :3]))
     return FlightReview(
         name=path.name,

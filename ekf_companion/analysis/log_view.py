@@ -16,8 +16,8 @@ from ekf_companion.engine.health import REFUSALS, Aid, Verdict
 from ekf_companion.nav import reason, so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Reason, Status, Table, Trajectory
-from ekf_companion.replay.report import summary
 from ekf_companion.replay.watched import Look
+from ekf_companion.review.report import summary
 
 MOMENTS = 6000
 """Most moments of the slider: a tenth of a second each in a flight of ten minutes."""

@@ -26,7 +26,7 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import EULER, Status, Trajectory
-from ekf_companion.replay.report import summary
+from ekf_companion.review.report import summary
 
 _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")

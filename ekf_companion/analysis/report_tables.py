@@ -11,12 +11,12 @@ from html import escape
 
 import numpy as np
 
-from ekf_companion.analysis.difference import SETTLED_NS
 from ekf_companion.analysis.flight_numbers import Numbers, Vibration
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.score import ROWS, Score
 from ekf_companion.analysis.status_bands import Band
 from ekf_companion.logs.onboard import LEVELS, Onboard
+from ekf_companion.review.difference import SETTLED_NS
 from ekf_companion.version import __version__
 
 STYLE = """

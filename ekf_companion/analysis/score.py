@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis import difference
-from ekf_companion.analysis.difference import ALWAYS, euler_errors, frame_of, tilt_errors
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.state import EULER, Trajectory
+from ekf_companion.review import difference
+from ekf_companion.review.difference import ALWAYS, euler_errors, frame_of, tilt_errors
 
 LAG_SPAN = 1.0
 """Largest lag searched for, either way, s."""

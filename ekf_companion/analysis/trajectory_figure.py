@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis import difference, figure_file
+from ekf_companion.analysis import figure_file
 from ekf_companion.analysis.gaps import parted, thinned
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import EULER, Trajectory
+from ekf_companion.review import difference
 
 POINTS = 20000
 """Largest number of points of a line: more than a figure can show."""

@@ -14,7 +14,7 @@ from ekf_companion.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
     from ekf_companion.nav.state import Trajectory
-    from ekf_companion.replay.report import Report
+    from ekf_companion.review.report import Report
 
 _WITHOUT_REFERENCE = (
     "{}: holds neither a truth nor the autopilot's own estimate; "
@@ -100,9 +100,11 @@ def _ours(
     log: Path, config: Config, reference: Path | None, *, is_smoothed: bool, is_silent: bool
 ) -> _Ours:
     """Run the estimator over a log and print the verdict, or read an estimate that it wrote."""
-    from ekf_companion.analysis.judgement import judge_log, take_truth
     from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate, read_truth
-    from ekf_companion.replay import convert as converter
+    from ekf_companion.review import convert as converter
+    from ekf_companion.review.evidence import take_truth
+    from ekf_companion.review.report import summary
+    from ekf_companion.review.verdict import judge_log
 
     if is_estimate(log):
         if is_smoothed:
@@ -122,7 +124,7 @@ def _ours(
     if not is_silent:
         if reference is not None and not is_estimate(reference):
             take_truth(report, read_truth(reference))
-        lines = [judge_log(report).sentence, *converter.summary(report)]
+        lines = [judge_log(report).sentence, *summary(report)]
         typer.echo("\n".join(lines) + "\n")
     return _Ours(estimate, live, report)
 
@@ -137,8 +139,8 @@ def _compare_ours(
 ) -> None:
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
-    from ekf_companion.analysis.judgement import evidence_of
     from ekf_companion.logs.estimate import read_truth
+    from ekf_companion.review.evidence import evidence_of
 
     estimate = ours.estimate
     truth = ours.truth if reference is None else read_truth(reference)

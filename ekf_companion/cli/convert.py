@@ -40,8 +40,10 @@ def convert(
     detector: Annotated[str | None, typer.Option(help="For zupt: shoe, mv, mag or are.")] = None,
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
-    from ekf_companion.analysis.judgement import judge_log, take_truth
-    from ekf_companion.replay import convert as converter
+    from ekf_companion.review import convert as converter
+    from ekf_companion.review.evidence import take_truth
+    from ekf_companion.review.report import summary
+    from ekf_companion.review.verdict import judge_log
 
     with terminal.exit_on_error(), progress_line(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "the reference": reference}
@@ -61,7 +63,7 @@ def convert(
             take_truth(report, truth)
             judgement = judge_log(report)
             data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
-            lines = [judgement.sentence, *converter.summary(report)]
+            lines = [judgement.sentence, *summary(report)]
     terminal.show(as_json, data, lines, err=is_piped)
     for out in outs:
         if out != Path("-"):

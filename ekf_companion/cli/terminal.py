@@ -141,10 +141,10 @@ def _has_suffix(name: str) -> bool:
 
 def read(log: Path, config: Config) -> Recording:
     """Read a log."""
-    from ekf_companion.replay import convert as converter
+    from ekf_companion.replay.read import read as read_recording
 
     with progress_line(f"{log.name}: reading") as progress:
-        return converter.read(log, config, progress)
+        return read_recording(log, config, progress)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from ekf_companion.config.service import LiveConfig
 from ekf_companion.daemon.access import Refusal, refuse_site
 from ekf_companion.daemon.feed import Feed
 from ekf_companion.daemon.foxglove_gate import Address, Gate, hidden_host
-from ekf_companion.daemon.http import SnapshotSource
+from ekf_companion.daemon.snapshots import SnapshotSource
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.status.observer import Observer

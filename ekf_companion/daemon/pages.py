@@ -22,8 +22,8 @@ from ekf_companion.config.service import HttpConfig
 from ekf_companion.daemon import websocket
 from ekf_companion.daemon.access import Access, Refusal
 from ekf_companion.daemon.feed import Feed
-from ekf_companion.daemon.http import PATIENCE, SnapshotSource
 from ekf_companion.daemon.recent_events import RecentEvents
+from ekf_companion.daemon.snapshots import PATIENCE, SnapshotSource
 from ekf_companion.status.assets import asset, index
 from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.metrics import registry_of

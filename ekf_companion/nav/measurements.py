@@ -309,6 +309,11 @@ def is_derived(events: Events) -> Mask:
     return np.asarray((events.kind == Kind.GNSS) & (flags == GnssFlag.DERIVED))
 
 
+def is_reboot(events: Events) -> Mask:
+    """Return which events are restarts of the autopilot, and no clock that was only set."""
+    return np.asarray((events.kind == Kind.RESTART) & (events.values[:, 0] == 0.0))
+
+
 def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:
     """Merge tables into one by arrival; without arrival times, by stamp. Ties keep their order."""
     stamps = [table.t_ns for table in tables]

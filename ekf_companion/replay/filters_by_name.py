@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -34,7 +34,30 @@ if TYPE_CHECKING:
     from ekf_companion.filters.ahrs_article import Preset
     from ekf_companion.filters.observation import Observation
     from ekf_companion.filters.sequence import MeasurementSequence
-    from ekf_companion.replay.array_types import FilterName
+
+FilterName = Literal[
+    "eskf",
+    "euler",
+    "euler:corrected",
+    "euler:article",
+    "iterated",
+    "iterated:global",
+    "iterated:robocentric",
+    "iterated:sphere",
+    "ukf",
+    "zupt",
+    "zupt:shoe",
+    "zupt:mv",
+    "zupt:mag",
+    "zupt:are",
+    "ahrs",
+    "ahrs:error-state",
+    "ahrs:corrected",
+    "ahrs:article",
+    "mahony",
+    "vqf",
+]
+"""The filters, with their options."""
 
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""

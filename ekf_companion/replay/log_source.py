@@ -69,10 +69,9 @@ def reference(log: Log, of: Autopilot | None = None) -> Trajectory | None:
     """
     if isinstance(log, Recording):
         return log.reference
-    from ekf_companion.logs import tlog_senders, tlog_trajectory
+    from ekf_companion.logs import tlog_trajectory
 
-    of = of or tlog_senders.autopilot_of(log)
-    return None if of is None else tlog_trajectory.reference(log, of)
+    return None if (of := _heard(log, of)) is None else tlog_trajectory.reference(log, of)
 
 
 def truth(log: Log, of: Autopilot | None = None) -> Trajectory | None:
@@ -82,10 +81,9 @@ def truth(log: Log, of: Autopilot | None = None) -> Trajectory | None:
     """
     if isinstance(log, Recording):
         return log.truth
-    from ekf_companion.logs import tlog_senders, tlog_trajectory
+    from ekf_companion.logs import tlog_trajectory
 
-    of = of or tlog_senders.autopilot_of(log)
-    return None if of is None else tlog_trajectory.truth(log, of)
+    return None if (of := _heard(log, of)) is None else tlog_trajectory.truth(log, of)
 
 
 def onboard(log: Log, of: Autopilot | None = None) -> Onboard:
@@ -95,10 +93,9 @@ def onboard(log: Log, of: Autopilot | None = None) -> Onboard:
     """
     if isinstance(log, Recording):
         return log.onboard
-    from ekf_companion.logs import tlog_senders, tlog_text
+    from ekf_companion.logs import tlog_text
 
-    of = of or tlog_senders.autopilot_of(log)
-    return Onboard() if of is None else tlog_text.read(log, of)
+    return Onboard() if (of := _heard(log, of)) is None else tlog_text.read(log, of)
 
 
 def utc_zero_ns(log: Log, of: Autopilot | None = None) -> int | None:
@@ -106,8 +103,15 @@ def utc_zero_ns(log: Log, of: Autopilot | None = None) -> int | None:
     if isinstance(log, Recording):
         found = log.utc_zero_ns
     else:
-        from ekf_companion.logs import tlog_senders, tlog_trajectory
+        from ekf_companion.logs import tlog_trajectory
 
-        of = of or tlog_senders.autopilot_of(log)
+        of = _heard(log, of)
         found = None if of is None else tlog_trajectory.utc_zero_ns(log, of)
     return found if found is not None and CLOCK_SET_S < found * 1e-9 < LATEST_S else None
+
+
+def _heard(log: Tlog, of: Autopilot | None) -> Autopilot | None:
+    """Return the autopilot that is listened to, by default the one that a session would find."""
+    from ekf_companion.logs.tlog_senders import autopilot_of
+
+    return of or autopilot_of(log)

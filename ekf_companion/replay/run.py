@@ -14,27 +14,20 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings.from_settings import delays_ns
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.logs.recording import Recording
-from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.buffer import EventBuffer
-from ekf_companion.nav.measurements import Events, Kind, Row
+from ekf_companion.nav.measurements import Events, Row
 from ekf_companion.nav.state import COLUMNS, Table
-from ekf_companion.replay.left_out import of_telemetry
-from ekf_companion.replay.log_source import open_log, reference, truth
-from ekf_companion.replay.magnetometer import MagnetometerCheck
-from ekf_companion.replay.receivers import ReceiverCheck
-from ekf_companion.replay.report import Report, add_block, note_shortcomings
-from ekf_companion.replay.screen import Screen, stamps_of_telemetry
+from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.screen import Screen
 
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
     from ekf_companion.logs.tlog import Autopilot, Tlog
     from ekf_companion.mavlink.block import BlockReader
     from ekf_companion.mavlink.outbox import Message
-    from ekf_companion.replay.agreement import AgreementCheck
     from ekf_companion.replay.vehicles import Vehicles
 
 CHUNK = 20_000
@@ -170,27 +163,22 @@ class Run(Generic[P]):
         self.log = open_log(path)
         self.pipelines: list[P] = []
         """Of the autopilots so far, in their order."""
-        self.report = Report(log=str(path), notes=list(self.log.notes), damage=self.log.damage)
-        self._path, self._config, self._kind = path, config, kind
-        self._blocks: list[Block] = []  # of all pipelines, not yet reported on
+        self.notes = list(self.log.notes)
+        """What one should know of the log and of its vehicles, a sentence each."""
+        self.refused: dict[str, int] = {}
+        """Counters of the session of a .tlog that are not 0, at its end."""
+        self.lost_share = 0.0
+        """Of the frames of a .tlog: lost on the link, by their numbers."""
+        self.elsewhere = ""
+        """Whose inertial samples a .tlog holds that were not asked for, in words."""
+        self.screen = Screen()
+        """Counts what of columns is no measurement."""
+        self._config, self._kind = config, kind
+        self._blocks: list[Block] = []  # of all pipelines, not yet yielded
         self._done = 0  # frames or measurements so far
-        self._magnetometer = MagnetometerCheck(config.heading.year)
-        self._receivers = ReceiverCheck()
-        self._agreement: AgreementCheck | None = None
-        self._screen = Screen()
-        self._faults: list[str] = []
-        self._doubts: list[str] = []
-        # Columns and units of a table are declared by its user, those of the others by programs
-        if suffix_of(path) == ".csv":
-            from ekf_companion.replay.agreement import AgreementCheck
-
-            self._agreement = AgreementCheck(config.gnss.delay)
         self._vehicles: Vehicles | None = None  # of a .tlog
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
-            self.report.family = self.log.family
-            if any(self.log.extent_ns):
-                self.report.extent.widen(*self.log.extent_ns)
             self.size, self.gnss_delay = len(self.log.events), self.log.gnss_delay
         else:
             self.size, self.gnss_delay = len(self.log), None
@@ -205,11 +193,13 @@ class Run(Generic[P]):
                 yield from self._take_blocks(progress, being_processed=1)
         yield from self._take_blocks(progress)
 
-    def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
+    def messages(
+        self, on_block: Callable[[Block], object], progress: Progress | None = None
+    ) -> Iterator[tuple[int, bytes]]:
         """Process the log, and yield frames with their stamps (us).
 
         They are those of the log, and behind the sample that makes each due the messages about the
-        estimates, as the daemon sends them.
+        estimates, as the daemon sends them. ``on_block`` is called with each block.
         """
         from ekf_companion.mavlink.codec import Sender
 
@@ -221,58 +211,13 @@ class Run(Generic[P]):
             for message in messages:
                 ours.system_id = self._system_id
                 yield stamp_us, ours.frame(message.name, message.payload)
-            if self._blocks:
-                self._take_blocks(progress)
+            for block in self._take_blocks(progress) if self._blocks else ():
+                on_block(block)
 
-    def compare_sensors(self) -> None:
-        """Judge whether the sensors of a table contradict each other, before :meth:`finish` does.
-
-        What was kept for it, which is large, is let go.
-        """
-        if self._agreement is not None:
-            self._faults, self._doubts = self._agreement.found()
-            self._agreement = None
-
-    def finish(self) -> Report:
-        """Return the report on the whole log.
-
-        Raises:
-            LogError: Nothing could be estimated from it.
-        """
-        if self.pipelines:
-            self.report.health = health = self.pipelines[-1].health()
-            late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
-            resets = sum(one.resets - one.reboots for one in self.pipelines)
-            self.report.other_resets = resets - (health.resets - self.report.reboots)
-            self.report.last_reset = next(
-                (one.reset_reason for one in reversed(self.pipelines) if one.resets > one.reboots),
-                "",
-            )
-            self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
-        self._note_left_out()
-        self.report.notes += self._magnetometer.notes() + self._receivers.notes()
-        self.compare_sensors()
-        self.report.is_contradictory = bool(self._faults)
-        self.report.notes += self._faults + self._doubts
-        note_shortcomings(self.report, self._path)
-        self.report.own = reference(self.log, self.autopilot)
-        self.report.truth = truth(self.log, self.autopilot)
-        return self.report
-
-    def _note_left_out(self) -> None:
-        """Note what was left out, by the screen or by the readers of messages."""
-        report = self.report
-        if isinstance(self.log, Recording):
-            report.left_out = self._screen.left_out()
-            report.stamps = self._screen.stamps._replace(lost_share=self.log.lost_share)
-        else:
-            report.left_out = list(of_telemetry(report.refused, report.counts))
-            share = self.log.back / max(len(self.log), 1)
-            report.stamps = stamps_of_telemetry(report.refused, report.counts, share)
-        if report.estimates and report.stamps.total:
-            used = report.estimates / report.stamps.total
-            report.stamps = report.stamps._replace(unused_share=max(1.0 - used, 0.0))
-        report.notes += [one.note for one in report.left_out]
+    @property
+    def family(self) -> str:
+        """Firmware of the autopilot that is listened to; ``unknown``: none is yet."""
+        return self.pipelines[-1].family if self.pipelines else "unknown"
 
     @property
     def autopilot(self) -> Autopilot | None:
@@ -331,7 +276,7 @@ class Run(Generic[P]):
     def _look_who_speaks(self, companion: Companion, log: Tlog) -> None:
         from ekf_companion.replay.vehicles import Vehicles
 
-        self._vehicles = Vehicles(log, self._config.link.autopilot, self.report)
+        self._vehicles = Vehicles(log, self._config.link.autopilot, self.notes)
         self._vehicles.attend(companion)
 
     def _follow(self, companion: Companion) -> None:
@@ -344,9 +289,10 @@ class Run(Generic[P]):
     def _note_refused(self, companion: Companion) -> None:
         if self._vehicles is not None:
             self._vehicles.finish(companion)
+            self.elsewhere = self._vehicles.elsewhere
         counts = companion.session.counters()
-        self.report.refused = {name: n for name, n in counts.items() if n and name != "frames"}
-        self.report.lost_share = counts["lost"] / max(counts["lost"] + counts["frames"], 1)
+        self.refused = {name: n for name, n in counts.items() if n and name != "frames"}
+        self.lost_share = counts["lost"] / max(counts["lost"] + counts["frames"], 1)
 
     def _chunks(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline run over the columns, a block at a time."""
@@ -359,7 +305,7 @@ class Run(Generic[P]):
         """Yield the measurements a block at a time, without what is none."""
         for start in range(0, self.size, CHUNK):
             self._done = min(start + CHUNK, self.size)
-            yield self._screen.pass_on(log.events.take(np.arange(start, self._done)))
+            yield self.screen.pass_on(log.events.take(np.arange(start, self._done)))
 
     def _rows(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline process the columns row by row, and a publisher send what is due."""
@@ -394,16 +340,9 @@ class Run(Generic[P]):
                 pipeline.finish_block()
 
     def _take_blocks(self, progress: Progress | None, being_processed: int = 0) -> list[Block]:
-        """Return the blocks that are due, but for the last ones, and report on them."""
+        """Return the blocks that are due, but for the last ones."""
         blocks = self._blocks[: len(self._blocks) - being_processed]
         del self._blocks[: len(blocks)]  # the pipelines hold on to the list
-        for block in blocks:
-            add_block(self.report, block.events, block.table)
-            self._magnetometer.add(block.events, block.table)
-            if not isinstance(self.log, Recording):
-                self._receivers.add(block.events)
-            if self._agreement is not None:
-                self._agreement.add(block.events)
         if progress is not None:
             progress(self._done, self.size)
         return blocks

@@ -6,9 +6,7 @@ What a telemetry log holds is judged by the readers of its messages, by the same
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,101 +17,14 @@ from ekf_companion.nav.held_velocity import HELD, HeldVelocities
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
 from ekf_companion.nav.repetition import Repetition
-from ekf_companion.replay.left_out import NO_FIELD, NO_PLACE, LeftOut
 
 KINDS = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG)
 """Of measurements that are looked at."""
 VELOCITIES = (3, 5)
 """Columns of the velocity north and of that down."""
-
-
-INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
-"""Messages of inertial samples that are read."""
-OFTEN, RARELY = 0.5, 0.05
-"""Shares of the inertial samples with a stamp that cannot be: most, and more than some."""
-
-
-class StampCount(NamedTuple):
-    """Inertial samples, and how many of them have the stamp of one before, or an earlier one."""
-
-    total: int
-    repeated: int = 0
-    back: int = 0
-    lost_share: float = 0.0
-    """Of the rows of the file: left out, for they have no time or one that does not fit."""
-    shuffled_share: float = 0.0
-    """Of the frames of a .tlog: recorded earlier than the one before, by their recorder."""
-    unused_share: float = 0.0
-    """Of the samples: no estimate follows from them, for they came too late or out of order."""
-
-    @property
-    def words(self) -> str:
-        """What is wrong with them, in a few words; empty: nothing."""
-        if self.lost_share > OFTEN:
-            return "the times of most rows do not fit each other"
-        if self.repeated > RARELY * self.total:
-            return "inertial samples share their stamps"
-        if min(self.shuffled_share, self.unused_share) > RARELY:
-            return "frames not in the order in which they came"
-        if self.back > RARELY * self.total:
-            return "samples not in the order of their stamps"
-        if self.unused_share > RARELY:
-            return f"{self.unused_share:.0%} of the inertial samples came too late to be used"
-        return ""
-
-    @property
-    def note(self) -> str:
-        """A sentence of it; empty: nothing is wrong."""
-        if self.repeated > RARELY * self.total:
-            return (
-                f"{self.repeated} of {self.total} inertial samples have the stamp of the one "
-                "before, so they count as one: the stamps are repeated, or have lost digits "
-                "(1.73234e+09 holds six of them); write each sample's own time, with all digits"
-            )
-        if min(self.shuffled_share, self.unused_share) > RARELY:
-            return (
-                f"{self.shuffled_share:.0%} of the frames are stamped earlier than the one before, "
-                f"so {self.unused_share:.0%} of the inertial samples gave no estimate: the file is "
-                "not in the order in which they came; sort its records by their stamps"
-            )
-        if self.back > RARELY * self.total:
-            return (
-                f"{self.back} of {self.total} inertial samples are stamped earlier than the one "
-                "before: the rows are not in the order of their times; sort them by time"
-            )
-        if self.unused_share > RARELY:
-            return (
-                f"{self.unused_share:.0%} of the inertial samples gave no estimate: they stand "
-                "behind later ones by more than the window of the filter; sort them by time"
-            )
-        return ""
-
-    @property
-    def is_most(self) -> bool:
-        """Whether it is so of most samples."""
-        worst = max(self.repeated, self.back)
-        return worst > OFTEN * self.total or max(self.lost_share, self.unused_share) > OFTEN
-
-
-NO_SAMPLES = StampCount(0)
-
-
-def stamps_of_telemetry(
-    refused: Mapping[str, int], counts: Mapping[Kind, int], shuffled_share: float = 0.0
-) -> StampCount:
-    """Return what the readers of messages found of stamps, by their counts of what was refused.
-
-    A stamp that leaps, or a clock that is set back, again and again, is one out of order too.
-    """
-    from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
-
-    repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
-    leaps = sum(refused.get(f"refused: {one}: stamp leaps", 0) for one in INERTIAL)
-    total = counts.get(Kind.IMU, 0) + repeated + back + leaps
-    back += leaps + refused.get("refused: clock set back", 0)
-    return StampCount(total, repeated, back, shuffled_share=shuffled_share)
-
-
+NO_PLACE = "without a place, as latitude and longitude 0"
+NO_FIELD = "of zeros"
+"""Why a fix and why a magnetic field are none; the other reasons are those of ``nav``."""
 GYRO_BIAS = 0.005
 """rad/s: a gyro may seem to turn so fast when it does not, after its autopilot's calibration."""
 LONGEST_STEP = 1.0
@@ -125,15 +36,16 @@ class Screen:
 
     def __init__(self) -> None:
         """Begin before the first event."""
-        self.refused: Counter[tuple[Kind, str]] = Counter()
-        """How many, by kind and reason."""
-        self._total: Counter[Kind] = Counter()
+        self._refused: Counter[tuple[Kind, str]] = Counter()
+        self.total: Counter[Kind] = Counter()
+        """Of each kind, with those that were left out."""
+        self.repeated = self.back = 0
+        """Inertial samples with the stamp of the one before, and with an earlier one."""
         self._repetition = Repetition()
         self._velocities = HeldVelocities()
         self._headings: dict[float, HeldHeading] = {}  # by source
         self._since: dict[float, tuple[int, Array]] = {}  # time and attitude of the last new one
         self._imu_ns: int | None = None
-        self._repeated = self._back = 0
         self._turned: Array = np.zeros(3)
 
     def pass_on(self, events: Events) -> Events:
@@ -141,7 +53,7 @@ class Screen:
         is_good = np.ones(len(events), dtype=np.bool_)
         kinds = {kind: np.flatnonzero(events.kind == kind) for kind in KINDS}
         for kind, rows in kinds.items():
-            self._total[kind] += len(rows)
+            self.total[kind] += len(rows)
         imu, mag = kinds[Kind.IMU], kinds[Kind.MAG]
         turned = self._turns(events, imu)
         is_good[kinds[Kind.HEADING]] = self._are_headings(events, kinds[Kind.HEADING], turned)
@@ -152,23 +64,16 @@ class Screen:
         events = self._without_velocities(events, kinds[Kind.GNSS])
         return events if is_good.all() else events.take(is_good)
 
-    def left_out(self) -> list[LeftOut]:
-        """Return what was left out, by kind and reason."""
-        found = Counter(self.refused)
-        for why, count in self._repetition.refused.items():
-            found[Kind.IMU, why] += count
-        return [
-            LeftOut(kind, why, count, self._total[kind]) for (kind, why), count in found.items()
-        ]
-
     @property
-    def stamps(self) -> StampCount:
-        """Return what is known of the inertial samples' stamps."""
-        return StampCount(self._total[Kind.IMU], self._repeated, self._back)
+    def left_out(self) -> Counter[tuple[Kind, str]]:
+        """How many were left out, by kind and reason."""
+        return self._refused + Counter(
+            {(Kind.IMU, why): count for why, count in self._repetition.refused.items()}
+        )
 
     def _count(self, kind: Kind, why: str, count: int = 1) -> None:
         if count:
-            self.refused[kind, why] += count
+            self._refused[kind, why] += count
 
     def _turns(self, events: Events, imu: Indices) -> Array:
         """Return by how much the gyro had turned in all, rad: before, and at each sample."""
@@ -177,8 +82,8 @@ class Screen:
         t_ns = events.t_ns[imu]
         first = t_ns[0] - 1 if self._imu_ns is None else self._imu_ns
         dt = np.clip(np.diff(t_ns, prepend=first) * 1e-9, 0.0, LONGEST_STEP)
-        self._repeated += int(np.count_nonzero(np.diff(t_ns, prepend=first) == 0))
-        self._back += int(np.count_nonzero(t_ns < np.append(first, t_ns[:-1])))
+        self.repeated += int(np.count_nonzero(np.diff(t_ns, prepend=first) == 0))
+        self.back += int(np.count_nonzero(t_ns < np.append(first, t_ns[:-1])))
         steps = np.nan_to_num(events.values[imu, :3]) * dt[:, None]
         turned = np.cumsum([self._turned, *steps], axis=0)
         self._imu_ns, self._turned = int(t_ns[-1]), turned[-1]

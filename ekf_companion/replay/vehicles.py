@@ -3,66 +3,72 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from ekf_companion.logs.tlog import Autopilot, Tlog
 from ekf_companion.logs.tlog_senders import others, senders, unannounced
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Event, Noted, PeerFound
-from ekf_companion.replay.report import Report
 
 if TYPE_CHECKING:
     from ekf_companion.engine.checkpoint import Vehicle
     from ekf_companion.engine.companion import Companion
-    from ekf_companion.replay.run import BlockPipeline
 
 
 MOST_NAMED = 8
 """Others that are named; in a log of strangers or of noise there may be thousands."""
 
 
-class Vehicles:
-    """Follows who is listened to in a log, and reports on the others."""
+class Measured(Protocol):
+    """A pipeline of a vehicle."""
 
-    def __init__(self, log: Tlog, wanted: int | None, report: Report) -> None:
-        """Look who speaks; ``wanted`` is the system id of the configuration."""
-        self._wanted, self._report = wanted, report
+    measured: int
+    """Measurements that it took."""
+
+
+class Vehicles:
+    """Follows who is listened to in a log, and notes the others."""
+
+    def __init__(self, log: Tlog, wanted: int | None, notes: list[str]) -> None:
+        """Look who speaks.
+
+        ``wanted`` is the system id of the configuration; sentences are added to ``notes``.
+        """
+        self._wanted, self._notes = wanted, notes
         self._senders = senders(log)
         self._silent = unannounced(self._senders, wanted)
-        self._found: list[tuple[Vehicle, BlockPipeline]] = []
+        self._found: list[tuple[Vehicle, Measured]] = []
 
     def attend(self, companion: Companion) -> None:
-        """Let a companion find an autopilot without heartbeats; report what it notes."""
+        """Let a companion find an autopilot without heartbeats; keep what it notes."""
         companion.on_event = self._on_event
         if (one := self._silent) is not None:
             peer = PeerFound(one.system_id, one.component_id, Family(one.family))
             companion.session.discovery.expect(peer)
 
-    def follow(self, companion: Companion, pipelines: Sequence[BlockPipeline]) -> bool:
+    def follow(self, companion: Companion, pipelines: Sequence[Measured]) -> bool:
         """Note who is listened to from now on; return whether it is another than before."""
         vehicle = companion.vehicle
         if vehicle is None or (self._found and vehicle is self._found[-1][0]):
             return False
         if self._found and self._found[-1][1].measured:
-            self._report.notes.append(
+            self._notes.append(
                 f"the autopilot is another from some time on: system {vehicle.system_id}, "
                 f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
                 "there"
             )
         self._found += [(vehicle, pipeline) for pipeline in pipelines]
-        self._report.family = vehicle.family
         return True
 
     def finish(self, companion: Companion) -> None:
-        """Report what is known at the end of the log."""
+        """Note what is known at the end of the log."""
         for event in companion.session.events():
             self._on_event(event)
-        self._report.notes += self.notes()
-        self._report.elsewhere = self.elsewhere
+        self._notes += self.notes()
 
     def _on_event(self, event: Event) -> None:
-        if isinstance(event, Noted) and event.text not in self._report.notes:
-            self._report.notes.append(event.text)
+        if isinstance(event, Noted) and event.text not in self._notes:
+            self._notes.append(event.text)
 
     @property
     def compared(self) -> Autopilot | None:

@@ -19,8 +19,8 @@ from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.reason import LONGEST_STEP, WORDS, foremost, from_names, to_seconds
 from ekf_companion.nav.state import COLUMNS, Reason, Status, Table
-from ekf_companion.replay.convert import read
-from ekf_companion.replay.report import Report, add_block
+from ekf_companion.replay.read import read
+from ekf_companion.review.report import Report, add_block
 from ekf_companion.status.status_time import StatusTime
 from tests.rows import CONFIG, Rows, write
 

@@ -107,7 +107,7 @@ def test_a_log_that_is_none_ends_with_3(tmp_path):
 def test_a_log_with_a_restart_serves_by_its_longest_part(flown, tmp_path):
     from ekf_companion.config.config import Config
     from ekf_companion.nav.measurements import Kind
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
 
     twice = tmp_path / "twice.tlog"
     twice.write_bytes(flown["hover"].read_bytes() + flown["static"].read_bytes())

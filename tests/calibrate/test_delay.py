@@ -73,7 +73,7 @@ def test_intervals_cover_the_truth_in_a_small_campaign(motion):
 
 
 def test_a_recorded_flight_with_clipped_samples_has_a_wide_interval(flight):
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
 
     name = "px4-ulg-tropic-aggressive/ekf_failure.ulg"
     # the velocities show 0.18 to 0.20 s
@@ -154,7 +154,7 @@ def test_the_keys_say_the_delay_and_how_sure_it_is():
     ],
 )
 def test_a_recorded_flight_shows_its_delay(flight, name, late, near, part):
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
 
     recording = read(flight(name), Config())
     t = (recording.events.t_ns - recording.events.t_ns.min()) * 1e-9

@@ -198,7 +198,7 @@ def test_a_recorded_sensor_hardly_turned_is_as_unsure_as_it_says(flight):
 
 
 def test_a_recorded_flight_of_a_simulator_needs_no_correction(flight):
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
 
     log = flight("sitl-arducopter-bin/flight.bin")
     found = mag.measure(read(log, Config()), Config())

@@ -138,7 +138,7 @@ def test_telemetry_is_not_judged():
 
 
 def test_a_recorded_simulator_has_the_noise_that_it_documents(flight):
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
 
     log = flight("sitl-px4-ulg/flight.ulg")
     found = noise.measure(read(log, Config()), Config()).receivers[-1]

@@ -37,8 +37,8 @@ from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.session import RATES
 from ekf_companion.nav import projection, so3
 from ekf_companion.nav.state import Status
-from ekf_companion.replay import convert
 from ekf_companion.replay import run as replay
+from ekf_companion.review import convert
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight

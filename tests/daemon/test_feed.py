@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 from ekf_companion.config.service import HttpConfig
 from ekf_companion.daemon import feed as feed_module
-from ekf_companion.daemon import http, websocket
+from ekf_companion.daemon import http, snapshots, websocket
 from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.daemon.feed import VIEWERS, Feed
 from ekf_companion.daemon.http import open_http_server
@@ -187,7 +187,7 @@ def test_what_a_viewer_says_is_no_command(monkeypatch):
 
 
 def test_a_stalled_loop_is_told(monkeypatch):
-    monkeypatch.setattr(http, "PATIENCE", 0.2)
+    monkeypatch.setattr(snapshots, "PATIENCE", 0.2)
     with serving(monkeypatch) as (watched, port), watch(port) as viewer:
         receive(viewer, "live")
         free = threading.Event()

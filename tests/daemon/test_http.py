@@ -15,7 +15,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families as parse
 
 from ekf_companion.config.service import HttpConfig
-from ekf_companion.daemon import http, pages, places
+from ekf_companion.daemon import http, pages, places, snapshots
 from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.daemon.http import open_http_server
 from ekf_companion.daemon.places import PLACES
@@ -216,12 +216,12 @@ def test_a_loop_that_is_stuck_is_unavailable(watched):
                 threading.Thread(target=lambda path=path: stuck.update({path: ask(url, path)}))
                 for path in ("/healthz", "/status", "/metrics")
             ]
-            await asyncio.sleep(http.FRESH)
+            await asyncio.sleep(snapshots.FRESH)
             for thread in threads:
                 thread.start()
             for thread in threads:
                 thread.join()  # the loop is held up, which is what this is about
-            await asyncio.sleep(http.FRESH)
+            await asyncio.sleep(snapshots.FRESH)
             watched.observer.tick(unix_clock())
             return before, stuck, await asyncio.to_thread(ask, url, "/healthz")
 
@@ -236,7 +236,7 @@ def test_a_filter_that_does_not_go_round_is_unavailable(watched):
         async with serving(watched) as url:
             await listening(url)
             watched.observer._tick_ns = unix_clock() - 5_000_000_000
-            await asyncio.sleep(http.FRESH)
+            await asyncio.sleep(snapshots.FRESH)
             return await asyncio.to_thread(ask, url, "/healthz")
 
     code, _, text = asyncio.run(body())
@@ -252,7 +252,7 @@ def test_a_bug_in_a_page_is_logged_and_ends_nothing(watched, caplog):
             await listening(url)
             broken = await asyncio.to_thread(ask, url, "/status")
             watched.observer.snapshot = snapshot
-            await asyncio.sleep(http.FRESH)
+            await asyncio.sleep(snapshots.FRESH)
             return broken, await asyncio.to_thread(ask, url, "/status")
 
     broken, well = asyncio.run(body())
@@ -274,7 +274,7 @@ def test_many_who_ask_at_once_cost_the_loop_one_snapshot(watched):
                 assert {code for code, _, _ in await asyncio.gather(*answers)} == {200}
             return time.monotonic() - begin
 
-    assert len(made) <= asyncio.run(body()) / http.FRESH + 2
+    assert len(made) <= asyncio.run(body()) / snapshots.FRESH + 2
 
 
 def test_clients_that_dawdle_are_cut_off_and_others_are_served(watched, monkeypatch):

@@ -16,7 +16,8 @@ from ekf_companion.mavlink.decode import Family, receiver, trim
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.fusion import NAMES
 from ekf_companion.mavlink.messages import IDS
-from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth, read
+from ekf_companion.replay.read import read
+from ekf_companion.review.convert import convert, estimate, estimate_and_smooth
 from sim_autopilot.acceptance import DEFAULTS, Reception
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig

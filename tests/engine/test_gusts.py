@@ -76,7 +76,7 @@ def test_a_velocity_that_is_a_mean_makes_nobody_doubt_good_samples(name, is_mean
 
 def test_a_recorded_airplane_in_steep_turns_and_gusts_keeps_its_attitude(flight):
     """Its autopilot is 0.21, 0.36 and 0.33 deg off; who doubts the samples, up to 4.5."""
-    from ekf_companion.replay.convert import read
+    from ekf_companion.replay.read import read
 
     truth = read_truth(flight("sitl-ap-plane-airspeed/truth.csv"))
     recording = read(flight("sitl-ap-plane-airspeed/flight.tlog"), Config())

@@ -25,7 +25,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import COLUMNS
-from ekf_companion.replay.convert import convert
+from ekf_companion.review.convert import convert
 from tests.core.flights import between, changed
 from tests.core.flights import flight as simulated
 from tests.engine.conversation import SECOND_NS, as_messages, converse, cycles, named

@@ -12,7 +12,7 @@ from ekf_companion.filters.zupt import ZuptSettings
 from ekf_companion.filters.zupt_detector import Detector, first_rest
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.replay.convert import read
+from ekf_companion.replay.read import read
 from tests.filters import walks
 from tests.paths import DATA
 

@@ -7,7 +7,7 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs import broad
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.replay import convert
+from ekf_companion.replay.read import read
 
 RATE = 2000.0 / 7.0
 
@@ -119,7 +119,7 @@ def test_something_else_by_that_name_is_refused(tmp_path):
 
 
 def test_it_is_known_by_its_suffix(tmp_path):
-    recording = convert.read(written(tmp_path / "trial.mat"), Config())
+    recording = read(written(tmp_path / "trial.mat"), Config())
     assert (recording.events.kind == Kind.IMU).sum() == 50
     assert recording.truth is not None
     assert recording.counted is not None

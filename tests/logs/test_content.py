@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs.content import DATAFLASH, TLOG, ULOG, content_of
-from ekf_companion.replay.convert import read
+from ekf_companion.replay.read import read
 from sim_autopilot.__main__ import app as simulator
 from tests.logs.test_cut import ulog_bytes
 from tests.logs.test_dataflash import new_log

@@ -7,7 +7,7 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs.ulog_messages import HEADER, MAGIC
-from ekf_companion.replay.convert import convert
+from ekf_companion.review.convert import convert
 from tests.logs.test_dataflash_instances import Flight
 from tests.logs.test_ulog import small_log as small_ulog
 

@@ -27,8 +27,8 @@ from ekf_companion.logs.dataflash_records import read_tables
 from ekf_companion.logs.source import MappedFile, Source
 from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_messages import HEADER, MAGIC
-from ekf_companion.replay.convert import convert
 from ekf_companion.replay.log_source import open_log
+from ekf_companion.review.convert import convert
 from tests.logs import sources
 from tests.logs.test_dataflash import new_log
 from tests.logs.test_tlog import small_log as small_tlog

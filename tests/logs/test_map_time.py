@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from ekf_companion.config.config import Config
 from ekf_companion.logs.map_time import Label, utc
-from ekf_companion.replay.convert import convert
+from ekf_companion.review.convert import convert
 from sim_autopilot.__main__ import app as simulator
 from tests.analysis.test_report_page import with_stamps
 

@@ -5,7 +5,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs import csv, openshoe
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.replay.convert import read as read_any
+from ekf_companion.replay.read import read as read_any
 
 HEAD = "\nInertial data.\n\nHeader:      a_x [g]:      a_y [g]:\n"
 ROW = (

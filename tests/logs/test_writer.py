@@ -13,7 +13,7 @@ from ekf_companion.logs.csv_writer import Writer as CsvWriter
 from ekf_companion.logs.writer import create
 from ekf_companion.nav import reason
 from ekf_companion.nav.state import COLUMNS, Reason, Status, Table
-from ekf_companion.replay.convert import convert
+from ekf_companion.review.convert import convert
 from sim_autopilot.__main__ import app as simulator
 
 ROW = Table(stamp_ns=np.array([5_000]), values=np.zeros((1, len(COLUMNS) - 1)))

@@ -16,7 +16,7 @@ from ekf_companion.logs import ulog
 from ekf_companion.logs.writer import WRITERS, Thinning, open_writer, with_position
 from ekf_companion.nav import reason
 from ekf_companion.nav.state import COLUMNS, GEODETIC, POSITION, QUATERNION, Status, Table
-from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
+from ekf_companion.review.convert import convert, estimate, estimate_and_smooth
 from sim_autopilot.__main__ import app as sim
 from tests.daemon.waiting import LIMIT
 

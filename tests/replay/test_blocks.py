@@ -191,7 +191,7 @@ def run(path, in_blocks):
     events = [block.events for block in blocks]
     session = one.companion.session
     counts = session.counters(), session.timesync.refused
-    return events, one.report, [len(each) for each in events], counts
+    return events, one, [len(each) for each in events], counts
 
 
 def check(frames, tmp_path) -> Events:

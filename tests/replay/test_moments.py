@@ -8,9 +8,8 @@ import pytest
 
 from ekf_companion import Stream
 from ekf_companion.errors import DataError
-from ekf_companion.replay.array_types import FilterName
-from ekf_companion.replay.filters_by_name import FILTERS
-from tests.replay.test_arrays import Flown
+from ekf_companion.replay.filters_by_name import FILTERS, FilterName
+from tests.arrays.test_run import Flown
 
 BEGIN = datetime(2026, 5, 4, 10, 0, tzinfo=timezone.utc)
 ZURICH, DENVER = (timezone(timedelta(hours=hours)) for hours in (2, -6))

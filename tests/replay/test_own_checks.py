@@ -10,7 +10,7 @@ from ekf_companion import OwnAid
 from ekf_companion.errors import DataError
 from ekf_companion.filters import mahony
 from ekf_companion.nav.state import COLUMNS, Table
-from tests.replay.test_arrays import Flown
+from tests.arrays.test_run import Flown
 
 
 class Down(OwnAid):

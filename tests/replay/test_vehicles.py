@@ -14,7 +14,8 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
-from ekf_companion.replay.convert import estimate, read
+from ekf_companion.replay.read import read
+from ekf_companion.review.convert import estimate
 
 FLIGHT = "sitl-arducopter-square/flight.tlog"
 SECONDS = 30

@@ -1,0 +1,279 @@
+"""Rows that are no measurement: the same becomes of them in every kind of log and message."""
+
+import numpy as np
+import pytest
+
+from ekf_companion.errors import LogError
+from ekf_companion.nav.held_heading import REPEATED
+from ekf_companion.nav.held_velocity import ALWAYS_ZERO, HELD
+from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
+from ekf_companion.replay.log_source import open_log
+from ekf_companion.review.evidence import Evidence
+from ekf_companion.review.left_out import NO_FIELD, VERTICAL_ZERO, LeftOut, of_telemetry
+from ekf_companion.review.verdict import judge
+from tests.rows import BOOT_NS, FORMATS, UTC_ZERO_US, Rows, convert, write
+
+TABLES = ("csv", "bin", "ulg")
+RECEIVERS = ("bin", "ulg")
+WEEK_US = 604_800_000_000
+
+FLIGHT = Rows.plan()
+
+in_every_format = pytest.mark.parametrize("kind", FORMATS)
+
+
+@pytest.fixture
+def rows():
+    return FLIGHT.copy()
+
+
+def verdict(found):
+    return judge(found.report, Evidence()).sentence
+
+
+def left_out(found):
+    """Return how many measurements were left out, by reason."""
+    return {one.why: one.number for one in found.report.left_out}
+
+
+def worst(errors, found, begin, end=np.inf):
+    return np.nanmax(errors[(found.since > begin) & (found.since < end)])
+
+
+@in_every_format
+def test_nothing_is_left_out_of_a_flight_without_fault(rows, kind, tmp_path):
+    found = convert(rows, kind, tmp_path, has_heading=True)
+    # Hundredths of a degree repeat by chance
+    assert left_out(found).get(REPEATED, 0) < 6
+    assert set(left_out(found)) <= {REPEATED}
+    assert verdict(found) == "good: no resets"
+    assert worst(found.distance, found, 20.0) < 1.5
+    assert worst(found.tilt, found, 20.0) < 1.5
+    assert worst(found.yaw, found, 20.0) < 3.0
+
+
+@in_every_format
+def test_a_place_at_0_0_is_none_before_the_fix_and_while_it_is_lost(rows, kind, tmp_path):
+    lost = (rows.fix_since < 8.0) | ((rows.fix_since > 30.0) & (rows.fix_since < 36.0))
+    rows.fix[lost] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert verdict(found) == "fair: without GNSS for 5 s"
+    assert worst(found.distance, found, 38.0) < 2.0
+
+
+@in_every_format
+@pytest.mark.parametrize(
+    ("fault", "why"), [("hangs", STUCK), ("gyro hangs", STUCK), ("is gone", ZERO)]
+)
+def test_samples_that_say_the_same_are_left_out_as_a_gap(rows, kind, fault, why, tmp_path):
+    """Rows of a sensor that hangs turned the vehicle on its back: tilt 120 deg, yaw 179 deg."""
+    hung = rows.since > 50.0
+    columns = slice(3) if fault == "gyro hangs" else slice(6)
+    last = rows.imu[np.searchsorted(rows.since, 50.0), columns]
+    rows.imu[hung, columns] = 0.0 if fault == "is gone" else last
+    found = convert(rows, kind, tmp_path)
+    assert hung.sum() - 25 < left_out(found)[why] <= hung.sum()
+    assert "inertial samples end at " in verdict(found)
+    assert worst(found.tilt, found, 20.0) < 5.0
+    assert worst(found.yaw, found, 20.0) < 5.0
+
+
+@in_every_format
+def test_a_sensor_that_hangs_for_a_while_is_believed_when_it_speaks_again(rows, kind, tmp_path):
+    hung = (rows.since > 30.0) & (rows.since < 33.0)
+    rows.imu[hung] = rows.imu[np.searchsorted(rows.since, 30.0)]
+    found = convert(rows, kind, tmp_path)
+    assert 270 < left_out(found)[STUCK] <= 300
+    assert "no inertial samples for " in verdict(found)
+    assert worst(found.tilt, found, 55.0) < 5.0
+    assert worst(found.distance, found, 40.0) < 3.0
+
+
+@in_every_format
+def test_an_accelerometer_at_the_end_of_its_range_is_named_and_used(rows, kind, tmp_path):
+    """Without its samples the tilt was 70 deg off, with a larger noise 3 deg."""
+    rows.imu[:, 3:] = np.clip(rows.imu[:, 3:], -10.5, 10.5)
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[LIMITED] > 2000
+    assert "the inertial sensor is at the end of its range" in verdict(found)
+    assert worst(found.tilt, found, 20.0) < 6.0
+
+
+@in_every_format
+@pytest.mark.parametrize("table", ["imu_ns", "fix_ns"])
+def test_a_row_with_stamp_0_costs_itself_and_no_row_before_it(rows, kind, table, tmp_path):
+    whole = convert(rows, kind, tmp_path)
+    stamps = getattr(rows, table)
+    places = (len(stamps) * np.array([0.3, 0.5, 0.52, 0.8])).astype(int)
+    stamps[places] = 0
+    found = convert(rows, kind, tmp_path)
+    lost = len(places) if table == "imu_ns" else 0
+    assert len(whole.table) - len(found.table) == lost
+    assert verdict(found).startswith("good: no resets")
+    assert worst(found.distance, found, 20.0) < 1.5
+
+
+@in_every_format
+def test_stamps_that_have_lost_digits_are_named(rows, kind, tmp_path):
+    rows.imu_ns = rows.imu_ns // 500_000_000 * 500_000_000
+    found = convert(rows, kind, tmp_path)
+    assert "inertial samples have the stamp of the one before" in found.notes
+    assert "inertial samples share their stamps" in verdict(found)
+    assert "ask for a faster stream" not in found.notes
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_rows_that_are_not_in_the_order_of_their_times_are_named(rows, kind, tmp_path):
+    np.random.default_rng(1).shuffle(rows.imu_ns)
+    try:
+        words = convert(rows, kind, tmp_path).notes
+    except LogError as why:
+        words = str(why)
+    assert "not in the order of their times" in words
+
+
+@in_every_format
+def test_a_heading_that_is_held_between_updates_counts_once(rows, kind, tmp_path):
+    second = rows.fix_since.astype(int)
+    rows.heading = rows.heading[np.searchsorted(second, second)]
+    found = convert(rows, kind, tmp_path, has_heading=True)
+    assert left_out(found)[REPEATED] >= 230
+    assert worst(found.yaw, found, 20.0) < 2.0
+    assert verdict(found) == "good: no resets"
+
+
+@in_every_format
+def test_a_heading_of_0_is_none_where_the_vehicle_does_not_point_north(rows, kind, tmp_path):
+    rows.heading[(rows.fix_since > 20.0) & (rows.fix_since < 30.0)] = 0.0
+    found = convert(rows, kind, tmp_path, has_heading=True)
+    assert worst(found.yaw, found, 20.0) < 3.0
+    assert verdict(found) == "good: no resets"
+
+
+@in_every_format
+@pytest.mark.parametrize(
+    ("vel", "why", "words"),
+    [
+        ((0.0, 0.0), ALWAYS_ZERO, "the receiver's velocity is always 0"),
+        ((5.0, 1.0), HELD, "the receiver's velocity is held"),
+    ],
+)
+def test_a_velocity_that_stands_while_positions_move_is_left_out(
+    rows, kind, vel, why, words, tmp_path
+):
+    """It led a flight 225 m astray; without any velocity the same flight is within 2 m."""
+    rows.fix[:, 3:5] = vel
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[why] > 200
+    assert words in verdict(found)
+    assert worst(found.distance, found, 20.0) < 3.0
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_a_vertical_velocity_of_0_is_left_out_while_heights_move(rows, kind, tmp_path):
+    rows.fix[:, 5] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found) == {VERTICAL_ZERO: len(rows.fix)}
+    assert "the receiver's vertical velocity is always 0" in verdict(found)
+
+
+@in_every_format
+def test_a_velocity_that_begins_to_stand_is_left_out_from_there(rows, kind, tmp_path):
+    begin = int(np.searchsorted(rows.fix_since, 30.0))
+    rows.fix[begin:, 3:5] = rows.fix[begin, 3:5]
+    found = convert(rows, kind, tmp_path)
+    assert sum(left_out(found).values()) == len(rows.fix) - begin - 2
+    assert verdict(found) == "good: no resets, the receiver's velocity is held"
+    assert worst(found.distance, found, 20.0) < 2.0
+
+
+@in_every_format
+def test_a_velocity_that_is_held_between_updates_counts_once(rows, kind, tmp_path):
+    """Once a second among five fixes: counted five times it led 14 m astray."""
+    second = rows.fix_since.astype(int)
+    rows.fix[:, 3:6] = rows.fix[np.searchsorted(second, second), 3:6]
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[REPEATED_VELOCITY] > 120
+    assert worst(found.distance, found, 20.0) < 3.0
+
+
+@in_every_format
+def test_inertial_samples_that_end_before_the_log_are_named(rows, kind, tmp_path):
+    rows.keep_samples(rows.since < 30.0)
+    found = convert(rows, kind, tmp_path)
+    assert verdict(found).startswith("fair: inertial samples end at ")
+
+
+# Before HIGHRES_IMU nothing here says the autopilot's time
+@pytest.mark.parametrize("kind", [one for one in FORMATS if one != "HIGHRES_IMU"])
+def test_inertial_samples_that_begin_after_the_log_are_named(rows, kind, tmp_path):
+    rows.keep_samples(rows.since > 20.0)
+    found = convert(rows, kind, tmp_path)
+    assert "inertial samples begin at " in verdict(found)
+
+
+def utc_us(rows, kind, folder):
+    """Return the UTC of the log's first row, us since 1970, and what is said about the log."""
+    log = open_log(write(rows, kind, folder))
+    zero_ns = log.utc_zero_ns
+    return None if zero_ns is None else (zero_ns + BOOT_NS) // 1000, "\n".join(log.notes)
+
+
+@pytest.mark.parametrize("kind", RECEIVERS)
+def test_the_date_of_rows_without_a_fix_is_not_the_log_s(rows, kind, tmp_path):
+    rows.fix_type[:40] = 1
+    rows.utc_us[:40] -= 8 * 52 * WEEK_US
+    rows.utc_us[40:45] += 18_000_000  # no leap seconds yet
+    found, notes = utc_us(rows, kind, tmp_path)
+    assert abs(found - UTC_ZERO_US - BOOT_NS // 1000) < 1000
+    assert "date" not in notes
+
+
+@pytest.mark.parametrize("kind", RECEIVERS)
+def test_a_date_1024_weeks_early_is_mended_and_named(rows, kind, tmp_path):
+    rows.utc_us -= 1024 * WEEK_US
+    found, notes = utc_us(rows, kind, tmp_path)
+    assert abs(found - UTC_ZERO_US - BOOT_NS // 1000) < 1000
+    assert "1024 weeks" in notes
+
+
+def test_a_date_long_before_the_firmware_is_not_used(rows, tmp_path):
+    """Of 2002, and 1024 weeks later still before PX4 that writes degrees."""
+    rows.utc_us -= (1024 + 2 * 52) * WEEK_US
+    found, notes = utc_us(rows, "ulg", tmp_path)
+    assert found is None
+    assert "before the firmware" in notes
+
+
+@in_every_format
+@pytest.mark.parametrize(("begin", "end"), [(15, 40), (30, 99)])
+def test_a_field_of_zeros_is_named_in_every_format(rows, kind, begin, end, tmp_path):
+    since = (rows.mag_ns - BOOT_NS) * 1e-9
+    is_zero = (since > begin) & (since < end)
+    rows.mag[is_zero] = 0.0
+    found = convert(rows, kind, tmp_path)
+    count = np.count_nonzero(is_zero)
+    # RAW_IMU and SCALED_IMU bring the field with each sample, twice as often
+    times = 1 if kind in (*TABLES, "HIGHRES_IMU") else 2
+    assert left_out(found)[NO_FIELD] == pytest.approx(times * count, abs=times + 1)
+    assert "magnetic fields are of zeros: they were not used" in found.notes
+    assert "magnetic fields of zeros" in verdict(found)
+
+
+@pytest.mark.parametrize("kind", ["HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"])
+def test_zeros_of_a_vehicle_without_a_compass_are_not_named(rows, kind, tmp_path):
+    rows.mag[:] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert NO_FIELD not in left_out(found)
+
+
+def test_the_counts_of_a_telemetry_log_become_the_words_of_any_log():
+    refused = {"refused: RAW_IMU: stuck": 30, "refused: GPS_RAW_INT: velocity held": 7}
+    found = list(of_telemetry(refused, {Kind.IMU: 70, Kind.GNSS: 10}))
+    assert found == [LeftOut(Kind.IMU, STUCK, 30, 100), LeftOut(Kind.GNSS, HELD, 7, 10)]
+    assert [one.words for one in found] == [
+        "the inertial sensor is stuck",
+        "the receiver's velocity is held",
+    ]
