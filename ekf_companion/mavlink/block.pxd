@@ -1,26 +1,27 @@
 cimport cython
 from ekf_companion.mavlink.block_rows cimport RowWriter
-from ekf_companion.mavlink.decode.preference cimport Pace, Preference
-from ekf_companion.nav.repetition cimport Repetition
-from ekf_companion.mavlink.dejitter cimport Dejitter
+from ekf_companion.mavlink.decode.state cimport (
+    ContextState, FieldState, HeadingState, InertialState, PositionState, PressureState
+)
 from ekf_companion.mavlink.sequence cimport Sequence
 from ekf_companion.mavlink.timebase cimport Count, TimeBase
 cdef class BlockReader(RowWriter):
     cdef readonly object frames
-    cdef object session, kinds, decoder, imu, mag, baro, position
+    cdef object session, kinds, decoder
+    cdef ContextState context
+    cdef InertialState imu
+    cdef FieldState mag
+    cdef PressureState baro
+    cdef HeadingState heading
+    cdef PositionState position
     cdef list pending
     cdef TimeBase clock
     cdef Count main
-    cdef Preference sources, instances, mag_sources, baro_sources, heading_sources
-    cdef Pace pace, position_pace
-    cdef Repetition repetition
-    cdef Dejitter dejitter
     cdef Sequence numbers
-    cdef bint is_usable, is_yielding, is_idle, is_submarine, is_yaw_ours, is_begun
-    cdef bint has_field, is_new_field, is_new_pressure, has_held, is_position_plain
-    cdef long long peer_system, peer_component, our_system, our_component, imu_id, last_us
+    cdef bint is_usable, is_yielding, is_idle, has_held, is_position_plain
+    cdef long long peer_system, peer_component, our_system, our_component, imu_id
     cdef long long heard, believed, echoes, strangers, count, volume
-    cdef double last_pressure, heading_std, mx, my, mz
+    cdef double heading_std
     cdef long long[::1] heard_by_id, message_id, row, size_of, stamp_us, t_us
     cdef long long[::1] updated, instance, boot_ms, position_ms
     cdef signed char[::1] kind
@@ -29,7 +30,6 @@ cdef class BlockReader(RowWriter):
     cdef double[:, ::1] samples, positions
     cdef bint load(self, buffer) except -1
     cdef store(self)
-    cdef store_sample(self)
     @cython.locals(kind=cython.int, number=cython.longlong)
     cdef Py_ssize_t read_on(self, Py_ssize_t i) except -1
     cdef bint read_message(self, int kind, Py_ssize_t i) except -1
@@ -53,8 +53,9 @@ cdef class BlockReader(RowWriter):
         row=double[::1]
     )
     cdef bint read_inertial(self, Py_ssize_t k) except -1
-    cdef bint can_read_field(self, double[::1] row) noexcept
-    cdef bint is_known(self, double[::1] row) noexcept
+    cdef bint can_read_field(self, double[::1] row) except -1
+    @cython.locals(x=cython.double, y=cython.double, z=cython.double)
+    cdef bint is_known(self, double[::1] row) except -1
     cdef bint can_read_pressure(self, double pressure) noexcept
     @cython.locals(t_ns=cython.longlong)
     cdef long long write_sample(self, long long t_us, double[::1] row) except? -1

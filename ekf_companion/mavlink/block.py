@@ -64,8 +64,13 @@ class BlockReader(RowWriter):
         self.kinds = kinds_of(session)
         self.heard_by_id = np.zeros(len(self.kinds), dtype=np.int64)
         self.pending: list[int] = []
-        super().__init__(session.decoder.trim)
+        self.decoder = decoder = session.decoder
+        super().__init__(decoder.trim)
+        self.context, self.imu, self.mag = decoder.context, decoder.inertial, decoder.mag
+        self.baro, self.heading, self.position = decoder.baro, decoder.heading, decoder.position
+        self.numbers = session.sequence
         options, admission = session.options, session.admission
+        self.imu_id, self.heading_std = options.decoder.imu_id, options.decoder.heading_std
         self.is_usable = not (admission.is_selective or options.is_recording)
         self.is_usable &= session.on_frame is None
 
@@ -119,7 +124,7 @@ class BlockReader(RowWriter):
 
     def load(self, buffer: EventBuffer) -> bool:
         """Look up where the session stands; return whether anything can be read here."""
-        session, decoder = self.session, self.session.decoder
+        session = self.session
         peer = session.discovery.peer
         if peer is None or session.guard.is_waiting:
             return False
@@ -129,29 +134,10 @@ class BlockReader(RowWriter):
         self.our_system, self.our_component = session.outbox.ids
         self.is_yielding = session.clash.is_yielding
         self.is_idle = session.timesync.is_idle
-        self.decoder, self.numbers = decoder, session.sequence
-        self.clock = decoder.context.clock
+        self.clock = self.context.clock
         self.main = self.clock.main
-        self.imu = decoder.inertial
-        self.mag, self.baro = decoder.mag, decoder.baro
-        self.sources, self.instances = self.imu.sources, self.imu.instances
-        self.repetition, self.dejitter = self.imu.repetition, self.imu.dejitter
-        self.mag_sources, self.baro_sources = self.mag.sources, self.baro.sources
-        self.heading_sources, self.pace = decoder.heading.sources, decoder.heading.pace
-        self.position, self.position_pace = decoder.position, decoder.position.derived_pace
         self.is_position_plain = session.options.guard is None or session.origin.is_shown
-        self.is_position_plain &= not decoder.context.is_ours
-        self.imu_id = decoder.context.options.imu_id
-        self.is_submarine = decoder.context.is_submarine
-        self.is_yaw_ours = decoder.context.is_yaw_ours
-        self.heading_std = decoder.context.options.heading_std
-        self.is_begun, self.is_turned = self.trim.first_ns is not None, self.trim.rows is not None
-        self.last_us, self.last_pressure = self.imu.last_us, self.baro.last
-        self.has_field = len(self.mag.last) == 3
-        if self.has_field:
-            self.mx, self.my, self.mz = self.mag.last
-        self.is_new_field = self.is_new_pressure = False
-        self.has_held = bool(decoder.held) or bool(self.pending)
+        self.has_held = bool(self.decoder.held) or bool(self.pending)
         self.heard = self.believed = self.echoes = self.strangers = self.count = self.volume = 0
         self.use(buffer)
         return True
@@ -159,20 +145,10 @@ class BlockReader(RowWriter):
     def store(self) -> None:
         """Store in the session what was counted and changed."""
         self.buffer.size = self.n
-        self.store_sample()
         if self.count:
             self.session.pass_over(
                 self.count, self.volume, self.heard, self.believed, self.strangers, self.echoes
             )
-
-    def store_sample(self) -> None:
-        """Store in the decoder what the last samples have changed."""
-        self.imu.last_us = self.last_us
-        if self.is_new_pressure:
-            self.baro.last, self.is_new_pressure = self.last_pressure, False
-        if self.is_new_field:
-            self.mag.last, self.mag.strange = (self.mx, self.my, self.mz), 0
-            self.is_new_field = False
 
     def read_on(self, i: int) -> int:
         """Do the work of :meth:`read`."""
@@ -252,17 +228,18 @@ class BlockReader(RowWriter):
         """Follow the stamp of an attitude, and write its heading if that is due."""
         k = self.row[i]
         stamp = self.boot_ms[k] * 1000
-        if self.is_yaw_ours or not self.is_near(stamp):
+        if self.context.is_yaw_ours or not self.is_near(stamp):
             return False
         is_late = stamp < self.main.latest_us
         if is_late and self.main.behind_us is not None and stamp - self.main.behind_us >= SURE:
             return False
-        is_due = self.pace.is_due(stamp * 1000)
-        if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0 or (is_due and is_late):
+        is_due = self.heading.pace.is_due(stamp * 1000)
+        is_taken = isfinite(self.yaw[k]) and self.heading.sources.rank == 0
+        if not is_taken or (is_due and is_late):
             return False
         self.clock.now_us = self.stamp_us[i] // 4 * 4
         self.clock.advance_boot_ms(self.boot_ms[k])
-        self.heading_sources.admit(0, stamp * 1000)
+        self.heading.sources.admit(0, stamp * 1000)
         if is_due:
             self.write_heading(stamp * 1000, self.yaw[k])
         return True
@@ -282,19 +259,19 @@ class BlockReader(RowWriter):
         k = self.row[i]
         stamp = self.position_ms[k] * 1000
         place = self.positions[k]
-        if not self.is_position_plain or self.is_yaw_ours or not self.is_near(stamp):
+        if not self.is_position_plain or self.context.is_ours or self.context.is_yaw_ours:
             return False
-        if not self.position.is_settled:
+        if not self.is_near(stamp) or not self.position.is_settled:
             return False
         if stamp < self.main.latest_us or not is_place(1e-7 * place[0], 1e-7 * place[1]):
             return False
         self.clock.now_us = self.stamp_us[i] // 4 * 4
         self.clock.advance_boot_ms(self.position_ms[k])
         t_ns = stamp * 1000
-        is_taken = place[6] <= LARGEST_HEADING and self.heading_sources.admit(1, t_ns)
-        if is_taken and self.pace.is_due(t_ns):
+        is_taken = place[6] <= LARGEST_HEADING and self.heading.sources.admit(1, t_ns)
+        if is_taken and self.heading.pace.is_due(t_ns):
             self.write_heading(t_ns, radians(place[6] * 1e-2))
-        if self.position_pace.admit(t_ns):
+        if self.position.derived_pace.admit(t_ns):
             if self.has_held:
                 self.free()
             self.put_position(t_ns, place, self.position.derived_std)
@@ -317,16 +294,18 @@ class BlockReader(RowWriter):
         """Write a heading of the autopilot's."""
         if self.has_held:
             self.free()
-        self.pace.admit(t_ns)
+        self.heading.pace.admit(t_ns)
         self.put_heading(t_ns, wrap(yaw), self.heading_std)
 
     def read_inertial(self, k: int) -> bool:
         """Read a sample that plainly follows the last, with what came with it."""
         t_us = self.t_us[k]
         rank = 0 if self.instance[k] == self.imu_id else self.instance[k] + 1
-        if rank != self.instances.rank or self.sources.rank != 0 or not self.is_begun:
+        if rank != self.imu.instances.rank or self.imu.sources.rank != 0:
             return False
-        if self.updated[k] & HAS_SAMPLE != HAS_SAMPLE or t_us <= 0 or t_us <= self.last_us:
+        if self.trim.first_ns is None or self.updated[k] & HAS_SAMPLE != HAS_SAMPLE:
+            return False
+        if t_us <= 0 or t_us <= self.imu.last_us:
             return False
         row = self.samples[k]
         if not isfinite(row[0] + row[1] + row[2] + row[3] + row[4] + row[5]):
@@ -344,55 +323,57 @@ class BlockReader(RowWriter):
         if self.has_held:
             self.free()
         t_ns = t_us * 1000
-        if rank != self.instances.sole:
-            self.instances.admit(rank, t_ns)
-        why = self.repetition.judge_axes(t_us, row[0], row[1], row[2], row[3], row[4], row[5])
-        self.last_us = t_us
+        if rank != self.imu.instances.sole:
+            self.imu.instances.admit(rank, t_ns)
+        why = self.imu.repetition.judge_axes(t_us, row[0], row[1], row[2], row[3], row[4], row[5])
+        self.imu.last_us = t_us
         if why is not None:
-            is_refused = self.imu.is_refused(why)
+            is_refused = self.decoder.inertial.is_refused(why)
             self.session.emit_notes()
             if is_refused:
                 return True
-        if self.sources.sole != 0:
-            self.sources.admit(0, t_ns)
+        if self.imu.sources.sole != 0:
+            self.imu.sources.admit(0, t_ns)
         t_ns = self.write_sample(t_us, row)
         if has_field:
             self.write_field(t_ns, row)
-        elif is_zero and self.has_field:
-            self.decoder.context.refused["mag: of zeros"] += 1
+        elif is_zero and self.mag.last:
+            self.decoder.refused["mag: of zeros"] += 1
         if has_pressure:
             self.write_pressure(t_ns, row[9])
         return True
 
     def can_read_field(self, row: np.ndarray) -> bool:
         """Return whether a magnetic field is the last one again, or the Earth's."""
-        if self.mag_sources.rank != 0:
+        if self.mag.sources.rank != 0:
             return False
         norm = sqrt(row[6] * row[6] + row[7] * row[7] + row[8] * row[8])
         return self.is_known(row) or LEAST_FIELD <= norm <= LARGEST_FIELD
 
     def is_known(self, row: np.ndarray) -> bool:
         """Return whether a magnetic field is the last one again."""
-        is_same = row[6] == self.mx and row[7] == self.my and row[8] == self.mz
-        return self.has_field and is_same
+        if not self.mag.last:
+            return False
+        x, y, z = self.mag.last
+        return row[6] == x and row[7] == y and row[8] == z
 
     def can_read_pressure(self, pressure: float) -> bool:
         """Return whether a pressure is the last one again, or in hPa that of the air."""
-        if self.baro_sources.rank != 0:
+        if self.baro.sources.rank != 0:
             return False
-        if pressure == self.last_pressure:
+        if pressure == self.baro.last:
             return True
-        if self.is_submarine or LEAST_PRESSURE <= pressure <= LARGEST_PRESSURE:
+        if self.context.is_submarine or LEAST_PRESSURE <= pressure <= LARGEST_PRESSURE:
             return False
         return LEAST_PRESSURE <= pressure * 100.0 <= LARGEST_PRESSURE
 
     def write_sample(self, t_us: int, row: np.ndarray) -> int:
         """Write a sample, unless it came out of order; return the time of what came with it, ns."""
         t_ns = t_us * 1000
-        if self.dejitter is not None:
-            sampled = self.dejitter.smooth(t_us)
+        if self.imu.dejitter is not None:
+            sampled = self.imu.dejitter.smooth(t_us)
             if sampled is None:
-                self.decoder.context.refuse("IMU: out of order")
+                self.decoder.refused["IMU: out of order"] += 1
                 return t_ns
             t_ns = sampled
         self.put_sample(t_ns, row)
@@ -400,19 +381,18 @@ class BlockReader(RowWriter):
 
     def write_field(self, t_ns: int, row: np.ndarray) -> None:
         """Write a magnetic field that is not the last one again."""
-        if self.mag_sources.sole != 0:
-            self.mag_sources.admit(0, t_ns)
+        if self.mag.sources.sole != 0:
+            self.mag.sources.admit(0, t_ns)
         if self.is_known(row):
             return
-        self.has_field = self.is_new_field = True
-        self.mx, self.my, self.mz = row[6], row[7], row[8]
+        self.mag.last, self.mag.strange = (row[6], row[7], row[8]), 0
         self.put_field(t_ns, row)
 
     def write_pressure(self, t_ns: int, pressure: float) -> None:
         """Write the height of a pressure that is not the last one again."""
-        if self.baro_sources.sole != 0:
-            self.baro_sources.admit(0, t_ns)
-        if pressure == self.last_pressure:
+        if self.baro.sources.sole != 0:
+            self.baro.sources.admit(0, t_ns)
+        if pressure == self.baro.last:
             return
-        self.last_pressure, self.is_new_pressure = pressure, True
+        self.baro.last = pressure
         self.put_height(t_ns, pressure_altitude(pressure * 100.0))

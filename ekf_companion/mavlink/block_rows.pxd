@@ -1,7 +1,8 @@
 cimport cython
+from ekf_companion.mavlink.decode.state cimport TrimState
 cdef class RowWriter:
-    cdef object buffer, values_of, trim
-    cdef bint is_turned
+    cdef object buffer, values_of
+    cdef TrimState trim
     cdef long long[::1] out_t, out_kind
     cdef double[:, ::1] out
     cdef Py_ssize_t n, limit

@@ -40,7 +40,7 @@ class RowWriter:
 
     def __init__(self, trim: Trim) -> None:
         """Begin without a buffer; ``trim`` turns the board's axes into the vehicle's."""
-        self.trim, self.is_turned = trim, False
+        self.trim = trim
         self.values_of: Array | None = None
 
     def use(self, buffer: EventBuffer) -> None:
@@ -67,7 +67,7 @@ class RowWriter:
 
     def put_vector(self, x: float, y: float, z: float, first: int) -> None:
         """Write a vector of the board into the row, in the vehicle's axes."""
-        if self.is_turned:
+        if self.trim.rows is not None:
             x, y, z = self.trim.to_vehicle(x, y, z)
         self.out[self.n, first] = x
         self.out[self.n, first + 1] = y

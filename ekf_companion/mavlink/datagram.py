@@ -77,7 +77,6 @@ class DatagramReader(BlockReader):
             self.fill(data[10:end])
             if self.t_us[0] > LAST_US or not self.read_inertial(0):
                 return None
-            self.store_sample()
         elif self.clock.is_behind:
             return None
         self.numbers.count(data[4], now_ns)

@@ -10,6 +10,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
+from ekf_companion.mavlink.decode.state import PositionState
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.earth import is_place
@@ -72,7 +73,7 @@ class _Receiver:
         self.yaw = HeldHeading()
 
 
-class Position:
+class Position(PositionState):
     """Reads the position of each receiver, and of the autopilot's own estimate."""
 
     def __init__(self, context: Context, heading: Heading) -> None:
