@@ -19,7 +19,6 @@ cdef class HeadingState(Ranked):
 cdef class PositionState:
     cdef public Pace derived_pace
     cdef public bint is_settled
-    cdef public tuple derived_std
 cdef class ContextState:
     cdef public TimeBase clock
     cdef public bint is_submarine, is_ours, is_yaw_ours
