@@ -60,7 +60,7 @@ cdef class PayloadReader:
     cdef bint is_near(self, long long stamp) except -1
     cdef advance(self, long long stamp, object now_ns)
     cdef bint read_attitude(self, object now_ns) except -1
-    cdef bint read_position(self, object frame, object now_ns) except -1
+    cdef bint read_position(self, bytes raw, object now_ns) except -1
     cdef bint read_fix(self, object frame) except -1
     @cython.locals(
         t_ns=cython.longlong, sampled=object, gx=cython.double, gy=cython.double, gz=cython.double,

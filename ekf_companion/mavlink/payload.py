@@ -20,7 +20,7 @@ from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
 from ekf_companion.mavlink.decode.context import Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
 from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, OUT_OF_ORDER, PRESSURE
-from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.frame import Frame, parsed
 from ekf_companion.mavlink.messages import IDS, by_name
 from ekf_companion.mavlink.past_frames import SLACK_US
 from ekf_companion.mavlink.session import Session
@@ -160,7 +160,7 @@ class PayloadReader:
             self.put_heading(stamp * 1000, m.yaw)
         return True
 
-    def read_position(self, frame: Frame, now_ns: int) -> bool:
+    def read_position(self, raw: bytes, now_ns: int) -> bool:
         """Follow the stamp of an autopilot's own position, and write what of it is due."""
         m = self.place[0]
         stamp = cython.cast(cython.longlong, m.time_boot_ms) * 1000
@@ -178,7 +178,8 @@ class PayloadReader:
         if is_taken and self.heading.pace.is_due(t_ns):
             self.put_heading(t_ns, m.hdg * 1e-2 * DEGREE)
         if self.position.derived_pace.admit(t_ns):
-            self.put_rows([self.decoder.position.derived(unpack(frame), t_ns)])
+            said = unpack(parsed(IDS["GLOBAL_POSITION_INT"], raw))
+            self.put_rows([self.decoder.position.derived(said, t_ns)])
         return True
 
     def read_fix(self, frame: Frame) -> bool:

@@ -228,7 +228,7 @@ class Reader(PayloadReader):
         elif kind == TIMESYNC:
             is_read = self.read_timesync()
         elif kind == POSITION:
-            is_read = self.read_position(parsed(number, self.piece[place:end]), now_ns)
+            is_read = self.read_position(self.piece[place:end], now_ns)
         elif kind == FIX:
             is_read = self.read_fix(parsed(number, self.piece[place:end]))
         else:
