@@ -336,9 +336,11 @@ class Run(Generic[P]):
                 pipeline.finish_block()
 
     def _take_blocks(self, progress: Progress | None, being_processed: int = 0) -> list[Block]:
-        """Return the blocks that are due, but for the last ones."""
+        """Return the blocks that are due, processed, but for the last ones."""
         blocks = self._blocks[: len(self._blocks) - being_processed]
         del self._blocks[: len(blocks)]  # the pipelines hold on to the list
+        for block in blocks:
+            block.pending.result()
         if progress is not None:
             progress(self._done, self.size)
         return blocks
