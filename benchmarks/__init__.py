@@ -7,6 +7,7 @@ reliability  what it withstands, the tables of docs/RELIABILITY.md: ``make soak`
              ``make endurance``
 truth        whether what is called ok is, by flights of an independent generator: ``make truth``
 sensitivity  what 30 % of each constant of a kernel's file does to these: ``make sensitivity``
+trace        how many files, moves and calls one frame goes through, queued ODOMETRY included
 bits         whether a change has altered a bit of any result of a revision: ``make bits``
 
 Shared by these: ``recorded`` (the recorded flights), ``campaign`` (many simulated ones and their
