@@ -219,21 +219,34 @@ class Companion:
 
     def _publish(self, estimate: Estimate, now_ns: int) -> list[Message]:
         """Send what is due of an estimate; look at the filter's health once a second."""
-        if self._publisher is None:
+        if (publisher := self._publisher) is None:
             return []
         self.estimate, self._estimated_ns = estimate, now_ns
-        if self._announcer is not None and self._health_due.is_due(estimate.t_ns):
-            health = estimate.health
-            self._announcer.estimate.on_health(health, now_ns)
-            if (stream := self._publisher.stream) is not None:
-                is_sent = self.session.stream_state.is_streaming
-                self._announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
-            self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
-        self._compare(estimate, self._publisher)
-        messages = self._publisher.due(estimate)
+        t_ns, session, comparison = estimate.t_ns, self.session, self._comparison
+        begin_ns, end_ns = self._health_due.pause
+        if self._announcer is not None and not begin_ns <= t_ns < end_ns:
+            self._look_at_health(estimate, publisher, self._announcer, now_ns)
+        begin_ns, end_ns = comparison.pause
+        is_said = session.autopilot_estimate.changes != comparison.seen
+        if is_said or not begin_ns <= t_ns < end_ns:
+            self._compare(estimate, publisher)
+        messages = publisher.due(estimate)
         for message in messages:
-            self.session.publish(message, now_ns, estimate.t_ns)
+            session.publish(message, now_ns, t_ns)
         return messages
+
+    def _look_at_health(
+        self, estimate: Estimate, publisher: Publisher, announcer: Announcer, now_ns: int
+    ) -> None:
+        """Announce what has become of the filter and of the stream, and tell our state."""
+        if not self._health_due.is_due(estimate.t_ns):
+            return
+        health = estimate.health
+        announcer.estimate.on_health(health, now_ns)
+        if (stream := publisher.stream) is not None:
+            is_sent = self.session.stream_state.is_streaming
+            announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
+        self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
 
     def _compare(self, estimate: Estimate, publisher: Publisher) -> None:
         """Compare what the autopilot said last of itself with ours, if that is new."""

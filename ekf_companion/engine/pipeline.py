@@ -280,13 +280,16 @@ class Estimate:
     def odometry(self) -> Odometry | None:
         """Content of an ODOMETRY, the same for all listeners; None while there is no position."""
         if self._odometry is False:
-            status, resets, numbers = self._pipeline._timeline.odometry()
+            timeline = self._pipeline._timeline
+            status, resets, numbers = timeline.odometry()
             if status < Status.OK:
                 self._odometry = None
             else:
                 count, quality = self._pipeline.sent_before + resets, QUALITY[Status(status)]
                 whole, relative = numbers[:ODOMETRY_SIZE], numbers[ODOMETRY_SIZE:]
-                self._odometry = Odometry(self.t_ns, whole, count, quality, relative)
+                self._odometry = Odometry(
+                    self.t_ns, whole, count, quality, relative, timeline.origin
+                )
         return self._odometry
 
     @property

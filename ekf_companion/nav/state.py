@@ -184,3 +184,5 @@ class Odometry(NamedTuple):
     relative: bytes | None = None
     """21 floats of 32 bits that may take the place of the first covariance: apart from the slow
     error of the receiver's position, which is the same for minutes. None: not known."""
+    origin: tuple[float, float, float] | None = None
+    """Latitude, longitude (rad) and altitude (m) of what positions count from; None: not said."""
