@@ -11,7 +11,7 @@ from ekf_companion.core.settings.from_settings import has_mean_samples, imu_lag
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
-from ekf_companion.engine.stream import NO_OFFSET, OdometryStream, with_covariance
+from ekf_companion.engine.stream import NO_OFFSET, OdometryStream
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import Frame, Label, StatusFlag, label
@@ -258,8 +258,8 @@ class Publisher:
         was_invalid, self._was_invalid = self._was_invalid, odometry.quality < 0
         if was_invalid and self._was_invalid:
             return None
-        numbers = with_covariance(odometry, self._is_relative)
-        self._follower.look(odometry.t_ns, numbers, (0.0, 0.0, 0.0))
+        relative = odometry.relative if self._is_relative else None
+        self._follower.look(odometry.t_ns, odometry.numbers, (0.0, 0.0, 0.0), relative)
         return odometry._replace(numbers=self._follower.express(climb, 1.0, is_local))
 
 

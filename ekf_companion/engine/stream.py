@@ -48,8 +48,6 @@ FARTHEST = float(2**17)
 """m; further from the origin float32 has steps of more than a centimetre: 1/64 m."""
 BEYOND = "too far from the origin for a float32 to carry centimetres"
 WAITING = "waiting for the first fix"
-_POSE_BYTES = slice(52, 136)
-"""The pose's covariance among the bytes of the numbers."""
 _SHIFT = 0.1
 """m; a datum of height that has moved further is told before the next ODOMETRY."""
 _BEST, _GOOD = QUALITY[Status.OK], QUALITY[Status.DEGRADED]
@@ -190,8 +188,8 @@ class OdometryStream:
         if last is not None and last.quality >= _GOOD:
             position = follower.std_position if last.quality == _BEST else 0.0
             stated = position, follower.std_velocity, follower.std_yaw
-        numbers = with_covariance(odometry, self._is_relative)
-        has_step = follower.look(odometry.t_ns, numbers, stated)
+        relative = odometry.relative if self._is_relative else None
+        has_step = follower.look(odometry.t_ns, odometry.numbers, stated, relative)
         # A reset of the filter is told even if it moved nothing much, and so is a return
         is_reset, self._resets = odometry.reset_count != self._resets, odometry.reset_count
         self._is_told |= last is None or (is_reset and self._policy.position)
@@ -252,7 +250,11 @@ class OdometryStream:
         if odometry is None:
             return None
         was_begun, was_silent, quality = self._is_begun, bool(self.silence), odometry.quality
-        self.silence = self._reason(estimate, odometry)
+        follower = self._follower
+        is_usual = was_begun and self._is_oriented and quality >= _GOOD
+        is_usual = is_usual and follower.std_attitude <= LOST_ATTITUDE
+        if not is_usual or max(map(abs, follower.pos_n)) > FARTHEST:
+            self.silence = self._reason(estimate, odometry)
         if self.silence:
             self._is_begun = False
             if not was_begun or self.silence == BEYOND:
@@ -262,7 +264,7 @@ class OdometryStream:
             if self._sent_ns is None:
                 # Whatever was corrected before, nobody has seen
                 self._count, self._is_told, self.offset = self._resets, False, NO_OFFSET
-                self._follower.clear(True)
+                follower.clear(True)
             elif was_silent:
                 self._end_silence(estimate.t_ns - self._sent_ns)
             if self._is_told:
@@ -271,7 +273,7 @@ class OdometryStream:
             self._since_ns, self._sent_ns = None, estimate.t_ns
         # Without an aid they share one error: together they say no more than the first of them
         self._unaided = self._unaided + 1 if quality < _GOOD else 0
-        numbers = self._follower.express(climb_factor, max(self._unaided, 1), is_local)
+        numbers = follower.express(climb_factor, max(self._unaided, 1), is_local)
         return Odometry(odometry.t_ns, numbers, self._count, quality)
 
     def _count_from(self, own: Place | None) -> None:
@@ -326,17 +328,6 @@ class OdometryStream:
             return False
         is_rough = self._follower.std_ground_speed() > ROUGH_VELOCITY
         return not is_good or estimate.is_reset_due or is_rough
-
-
-def with_covariance(odometry: Odometry, is_relative: bool) -> bytes:
-    """Return the numbers of an ODOMETRY, without the receiver's slow error where that is wanted.
-
-    Its covariance of the pose is the relative one then, where that is known.
-    """
-    numbers, relative = odometry.numbers, odometry.relative
-    if not is_relative or relative is None:
-        return numbers
-    return numbers[: _POSE_BYTES.start] + relative + numbers[_POSE_BYTES.stop :]
 
 
 def std_horizontal(odometry: Odometry) -> float:

@@ -97,7 +97,8 @@ class PastFrames:
         """Keep a frame that was heard."""
         self._waiting.append(frame)
         self._count += 1
-        self._drop()
+        if self._count > KEPT:
+            self._drop()
 
     def keep_run(self, frames: Frames, begin: int, end: int) -> None:
         """Keep frames of a recording that were read, from one on."""

@@ -423,11 +423,14 @@ class Session:
         if name == "GPS_GLOBAL_ORIGIN":
             self.origin.note(payload)
         elif name == "ODOMETRY":
-            self.origin.on_odometry(now_ns)
-        if name == "ODOMETRY" and not (self.may_stream and self.delivery.takes(now_ns)):
-            self.outbox.withhold(name, payload, now_ns)
-        else:
-            self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
+            if self.origin.is_settled:
+                self.origin.sent_ns = now_ns
+            else:
+                self.origin.on_odometry(now_ns)
+            if not (self.may_stream and self.delivery.pacing.takes(now_ns)):
+                self.outbox.withhold(name, payload, now_ns)
+                return
+        self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
 
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, one item each, and forget them."""
@@ -446,8 +449,9 @@ class Session:
     @property
     def may_stream(self) -> bool:
         """Whether ODOMETRY may be sent: the guard, a twin of ours and every service allow it."""
-        is_free = not self.clash.is_yielding and self.hold is None
-        return self.guard.decision.is_streaming and is_free
+        if not self.guard.decision.is_streaming or self.clash.is_yielding:
+            return False
+        return all(service.hold is None for service in self._with_peer)
 
     @property
     def hold(self) -> Hold | None:

@@ -24,7 +24,7 @@ cdef class Follower:
     cpdef forget(self)
     cpdef clear(self, bint frame_too)
     @cython.locals(n="double*", v="double*", dt=cython.double, ahead=cython.double, found=tuple)
-    cpdef bint look(self, long long t_ns, bytes numbers, tuple stated) except -1
+    cpdef bint look(self, long long t_ns, bytes numbers, tuple stated, bytes relative=*) except -1
     cdef void find_stds(self) noexcept
     cpdef double std_ground_speed(self) except -1
     @cython.locals(

@@ -36,6 +36,7 @@ Numbers = Any
 """Doubles in place."""
 NUMBERS = Struct("<55f")
 """Of an ODOMETRY: position, quaternion, velocity, rates, and two upper triangles row by row."""
+TRIANGLE = Struct("<21f")
 _SINGLE = Struct("<f")
 PI = cython.declare(cython.double, 3.141592653589793)
 TWO_PI = cython.declare(cython.double, 6.283185307179586)
@@ -139,7 +140,13 @@ class Follower:
         """Where the frame c of what is sent lies in n: ``pos_n = R(yaw) pos_c + shift``."""
         return (self.shift[0], self.shift[1], self.shift[2], self.yaw)
 
-    def look(self, t_ns: int, numbers: bytes, stated: tuple[float, float, float]) -> bool:
+    def look(
+        self,
+        t_ns: int,
+        numbers: bytes,
+        stated: tuple[float, float, float],
+        relative: bytes | None = None,
+    ) -> bool:
         """Look at an estimate; return whether a step to it was measured.
 
         Args:
@@ -149,10 +156,15 @@ class Follower:
                 before; 0: of what was not aided. A step within it is no jump, nor is one of the
                 position within three just after a start, when one fix is all there is: every gate
                 has three sigma and more.
+            relative: 21 numbers of 32 bits that take the place of the pose's covariance.
         """
         given = NUMBERS.unpack(numbers)
         for i in range(55):
             self.numbers[i] = given[i]
+        if relative is not None:
+            given = TRIANGLE.unpack(relative)
+            for i in range(21):
+                self.numbers[POSE + i] = given[i]
         n = self.numbers
         self.rotate_from(n)
         for i in range(3):
