@@ -29,7 +29,6 @@ from ekf_companion.engine.tuning import Tuning
 from ekf_companion.engine.warm_start import Outcome, WarmStart
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.commands import Stream
-from ekf_companion.mavlink.datagram import DatagramReader
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import (
@@ -43,6 +42,7 @@ from ekf_companion.mavlink.event import (
 )
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.outbox import Message, Outgoing
+from ekf_companion.mavlink.reader import Reader
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
@@ -102,7 +102,8 @@ class Companion:
         self.on_event: Callable[[Event], None] | None = None
         """Called with each event of the session, before anything follows from it."""
         self._publisher: Publisher | None = None
-        self._reader = DatagramReader(self.session)
+        self.reader = Reader(self.session)
+        """Of the frames that need no session."""
         self._comparison = Comparison()
         self._told = 0
         """Resets of ODOMETRY that the autopilot was told, at the last comparison."""
@@ -128,7 +129,7 @@ class Companion:
             The messages about the estimates that follow from them. They wait to be sent too, but
             for an ODOMETRY that must not be.
         """
-        rows = self._reader.read_datagram(data, now_ns, sender)
+        rows = self.reader.read_datagram(data, now_ns, sender)
         if rows is not None:
             return self._process(rows, now_ns)
         messages: list[Message] = []
@@ -146,7 +147,7 @@ class Companion:
         if publisher is None:
             return False
         due_ns = min(due_ns, publisher.due_ns, self._health_due.pause[1])
-        return self._reader.may_wait(data, due_ns)
+        return self.reader.may_wait(data, due_ns)
 
     def receive_frame(self, frame: Frame, now_ns: int) -> list[Message]:
         """Process a whole frame of a known message, as :meth:`receive` does its bytes."""

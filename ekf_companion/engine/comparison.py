@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Height
 from ekf_companion.engine.pipeline import Estimate
@@ -114,13 +114,13 @@ class Comparison:
         )
         return Height(t_ns, m.alt * 1e-3, ours.alt, -ours.vel_n[2]), separation
 
-    def _turned(self, m: object, clock: TimeBase) -> float:
+    def _turned(self, m: Any, clock: TimeBase) -> float:
         """Return what the autopilot's yaw is off ours at the same time, rad; NaN: not known."""
-        t_ns = clock.from_boot_ms(m.time_boot_ms)  # type: ignore[attr-defined]
+        t_ns = clock.from_boot_ms(m.time_boot_ms)
         ours = None if t_ns is None else self._at(t_ns)
-        if ours is None:
+        if ours is None or not math.isfinite(m.yaw):
             return math.nan
-        return math.remainder(m.yaw - ours.yaw, math.tau)  # type: ignore[attr-defined]
+        return math.remainder(m.yaw - ours.yaw, math.tau)
 
     def _at(self, t_ns: int) -> Ours | None:
         """Return our estimate at a time that lies among those kept, or a moment after."""

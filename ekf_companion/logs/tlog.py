@@ -35,8 +35,7 @@ from ekf_companion.logs.recording import (
 )
 from ekf_companion.logs.source import Source
 from ekf_companion.logs.stored_rows import Column, StoredRows
-from ekf_companion.mavlink.block_columns import Frames
-from ekf_companion.mavlink.frame import STX_2
+from ekf_companion.mavlink.frame import STX_2, Frames
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Indices, Mask, Stamps
 

@@ -8,7 +8,8 @@ encode    estimates to payloads
 timebase  the autopilot's clock from its messages' stamps
 dejitter  stamps taken when a message was sent, corrected to when its sample was taken
 sequence  what was lost, by the frames' numbers
-block     a recording's frames, many at once, to the same bits; block_columns: as columns
+reader    the frames that come most often, to the same bits: live one, of a log many
+payload   what is in these, to rows
 clock     the autopilot's clock compared with ours: TIMESYNC both ways
 outbox    messages of ours on their way out, and the record of all that went in and out
 admission, signing        which frames are let in
@@ -29,4 +30,4 @@ Modules with a .pxd beside them are compiled; the same files run as plain Python
 
 from ekf_companion.errors import is_compiled
 
-is_compiled("ekf_companion.mavlink.datagram")
+is_compiled("ekf_companion.mavlink.reader")

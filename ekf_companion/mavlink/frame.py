@@ -14,12 +14,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable
+from dataclasses import dataclass
 from struct import Struct
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 from fastcrc import crc16
 
 from ekf_companion.mavlink.messages import CRC_EXTRAS, LAYOUTS
+from ekf_companion.nav.arrays import Stamps
 
 STX_1 = 0xFE
 STX_2 = 0xFD
@@ -58,6 +62,11 @@ _header = Struct("<xBBxBBBHB").unpack_from
 _crc = crc16.mcrf4xx
 
 
+def checksum(body: bytes, message_id: int) -> int:
+    """Return the checksum of a frame of a known message, from its bytes behind the first."""
+    return int(_crc(body + CRC_EXTRAS[message_id]))
+
+
 class Frame(NamedTuple):
     """One message as it was on the wire, or (id ``JUNK``) bytes that are no message.
 
@@ -79,6 +88,39 @@ class Frame(NamedTuple):
     def is_signed(self) -> bool:
         """Whether a signature follows; nobody has verified it."""
         return self.version == 2 and bool(self.raw[2] & SIGNED)
+
+
+def parsed(message_id: int, raw: bytes) -> Frame:
+    """Return a whole frame with a right checksum by its parts."""
+    if raw[0] == STX_2:
+        return Frame(message_id, raw[5], raw[6], raw[4], raw[10 : 10 + raw[1]], raw, 2)
+    return Frame(message_id, raw[3], raw[4], raw[2], raw[6 : 6 + raw[1]], raw, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Frames:
+    """Whole frames with right checksums, in order; arrays of one length."""
+
+    data: bytes
+    """The piece of the recording that they lie in."""
+    stamp_us: Stamps
+    """The recorder's clock."""
+    start: Stamps
+    """Place in the data."""
+    end: Stamps
+    """Place behind the frame."""
+    message_id: npt.NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def raw(self, i: int) -> bytes:
+        """Return the bytes of a frame."""
+        return self.data[self.start[i] : self.end[i]]
+
+    def frame(self, i: int) -> Frame:
+        """Return a frame as a session takes it."""
+        return parsed(int(self.message_id[i]), self.raw(i))
 
 
 class Splitter:

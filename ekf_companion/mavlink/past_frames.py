@@ -13,15 +13,11 @@ from __future__ import annotations
 from collections import deque
 from itertools import islice
 from struct import calcsize
-from typing import TYPE_CHECKING
 
-from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.frame import Frame, Frames
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.timebase import TimeBase
-
-if TYPE_CHECKING:
-    from ekf_companion.mavlink.block_columns import Frames
 
 KEPT = 8192
 """Frames: 20 s of a usual stream, four of the fastest."""

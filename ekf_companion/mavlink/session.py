@@ -246,36 +246,32 @@ class Session:
             return self._receive_from_autopilot(frame, now_ns)
         return []
 
-    def pass_over(
-        self, count: int, size: int, heard: int, believed: int, strangers: int, echoes: int
-    ) -> None:
-        """Count frames, and their bytes, that were processed elsewhere (:mod:`.block`).
+    def pass_over(self, count: int, size: int, heard: int, echoes: int = 0) -> None:
+        """Count frames, and their bytes, that were processed elsewhere (:mod:`.reader`).
 
         Args:
             count: All.
             size: Their bytes.
             heard: Those of the autopilot.
-            believed: Those that are not ours.
-            strangers: Those that are neither ours nor the autopilot's.
             echoes: Those under our ids.
         """
-        self.changes += 1
         self.received_bytes += size
         self.splitter.pass_over(count)
         self.heard += heard
-        self.believed += believed
-        if strangers:
+        self.believed += count - echoes
+        if strangers := count - heard - echoes:
             self.ignored[STRANGERS] += strangers
         if echoes:
             self.ignored[ECHOES] += echoes
 
-    def note_frame(self, number: int, size: int) -> None:
-        """Count a frame of the autopilot that was processed elsewhere (:mod:`.datagram`)."""
-        self.received_bytes += size
-        self.received[number] += 1
-        self.heard += 1
-        self.believed += 1
-        self.splitter.pass_over(1)
+    def note_frame(self, frame: Frame, now_ns: int) -> None:
+        """Count, keep and record a frame of the autopilot that was processed elsewhere."""
+        self.pass_over(1, len(frame.raw), 1)
+        self.received[frame.message_id] += 1
+        self.past.keep(frame)
+        if frame.message_id in KEPT:
+            self.autopilot_estimate.keep(frame, now_ns)
+        self.outbox.record(frame.raw, now_ns)
 
     def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
         """Handle what anybody may say; return whether it was the autopilot who said it."""

@@ -32,7 +32,7 @@ from ekf_companion.replay.screen import Screen, stamps_of_telemetry
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
     from ekf_companion.logs.tlog import Autopilot, Tlog
-    from ekf_companion.mavlink.block import BlockReader
+    from ekf_companion.mavlink.frame import Frames
     from ekf_companion.mavlink.outbox import Message
     from ekf_companion.replay.agreement import AgreementCheck
     from ekf_companion.replay.vehicles import Vehicles
@@ -291,12 +291,9 @@ class Run(Generic[P]):
 
     def _pieces(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive the frames that may change its mind; read the others fast."""
-        from ekf_companion.mavlink.block import BlockReader
-
         companion = self._open_companion()
         self._look_who_speaks(companion, log)
-        reader = BlockReader(companion.session)
-        before = 0
+        reader, before = companion.reader, 0
         for frames in log.pieces():
             reader.open(frames)
             i = 0
@@ -304,7 +301,7 @@ class Run(Generic[P]):
                 if self.pipelines:
                     i = reader.read(i, self.pipelines[-1].buffer)
                 if i < len(frames) and not (self.pipelines and self.pipelines[-1].buffer.is_full):
-                    self._receive(companion, reader, i)
+                    self._receive(companion, frames, i)
                     i += 1
                 self._done = before + i
                 self._follow(companion)
@@ -314,14 +311,13 @@ class Run(Generic[P]):
         reader.close()
         self._note_refused(companion)
 
-    def _receive(self, companion: Companion, reader: BlockReader, i: int) -> None:
-        """Let the companion receive a frame that the reader has left to it."""
-        reader.settle()
-        now_ns = int(reader.frames.stamp_us[i]) * 1000
-        if reader.is_whole(i):
-            companion.receive_frame(reader.frames.frame(i), now_ns)
+    def _receive(self, companion: Companion, frames: Frames, i: int) -> None:
+        """Let the companion receive a frame that its reader has left to it."""
+        now_ns = int(frames.stamp_us[i]) * 1000
+        if companion.reader.is_whole(i):
+            companion.receive_frame(frames.frame(i), now_ns)
         else:
-            companion.receive(reader.frames.raw(i), now_ns)
+            companion.receive(frames.raw(i), now_ns)
 
     def _open_companion(self) -> Companion:
         from ekf_companion.engine.companion import Companion

@@ -1,4 +1,4 @@
-"""Datagrams of one sample are read by a way of their own, which must make the same of them."""
+"""Datagrams of one frame are read by a way of their own, which must make the same of them."""
 
 import math
 import random
@@ -7,16 +7,15 @@ import pytest
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender, unpack
-from ekf_companion.mavlink.datagram import DatagramReader
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.messages import IDS, by_name
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 from tests.engine.conversation import STREAMING
 
-HIGHRES_IMU = by_name("HIGHRES_IMU")
-NUMBER = HIGHRES_IMU.message_id.to_bytes(3, "little")
+NUMBER = IDS["HIGHRES_IMU"].to_bytes(3, "little")
+READ = ("HIGHRES_IMU", "ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
 GUARDED_NS = 5_000_000_000
 
 
@@ -30,38 +29,53 @@ def flown(kind=Kind.PX4, duration=12.0):
         yield cycle.t_ns, autopilot.data_to_send()
 
 
+def oddities(name, m, rng):
+    """Return what else a message may say."""
+    if "time_boot_ms" in m._fields:
+        stamp, value = "time_boot_ms", m.time_boot_ms
+        stamps = [max(value - 300, 0), max(value - 4, 0), max(value - 20, 0), value + 400, 0]
+        stamps += [value + 2000, (1 << 31) + 1, (1 << 32) - 1]
+    else:
+        stamp, value = "time_usec", m.time_usec
+        stamps = [value + step for step in (-300_000, -4000, 400_000, 2_000_000)]
+        stamps += [0, 1, 1 << 51, (1 << 52) + 1, (1 << 64) - 1]
+    said = {
+        "HIGHRES_IMU": [
+            {rng.choice(["xacc", "zgyro"]): rng.choice([math.nan, math.inf, 1e30])},
+            {"fields_updated": rng.choice([0, 0x3F, 0x1FF, 0x23F, 0x1F])},
+            {"id": rng.choice([0, 1, 2, 255])},
+            {"xmag": 0.0, "ymag": 0.0, "zmag": 0.0},
+            {"xmag": rng.choice([1e-4, 40.0, math.nan])},
+            {"abs_pressure": rng.choice([0.0, 1.0, 1013.0, 101300.0, math.nan])},
+        ],
+        "ATTITUDE": [{"yaw": rng.choice([math.nan, math.inf, 4.0])}],
+        "GLOBAL_POSITION_INT": [{"lat": 0, "lon": 0}, {"hdg": 65_535}, {"lat": 910_000_000}],
+        "GPS_RAW_INT": [{"fix_type": 1}, {"yaw": 9000}, {"h_acc": 0}, {"vel": 65_535}],
+    }
+    return [{stamp: rng.choice(stamps)}, *said[name], {}]
+
+
 def disturbed(seed):
-    """Yield the same with samples that are odd: in stamp, content, sender, number and bytes."""
+    """Yield the same with messages that are odd: in stamp, content, sender, number and bytes."""
     rng = random.Random(seed)
     stranger, frozen = Sender(7, 1), None
     for t_ns, frames in flown():
         for data in frames:
             (frame,) = Splitter().feed(data)
-            odd = rng.random()
-            if frame.message_id != IDS["HIGHRES_IMU"] or odd > 0.1:
+            odd, layout = rng.random(), LAYOUTS[frame.message_id]
+            if layout.name not in READ or odd > 0.1:
                 yield t_ns, data
                 continue
             m = unpack(frame)
-            us = m.time_usec
-            changes = [
-                {"time_usec": us + rng.choice([-300_000, -4000, 400_000, 2_000_000])},
-                {"time_usec": rng.choice([0, 1, 1 << 51, (1 << 52) + 1, (1 << 64) - 1])},
-                {rng.choice(["xacc", "zgyro"]): rng.choice([math.nan, math.inf, 1e30])},
-                {"fields_updated": rng.choice([0, 0x3F, 0x1FF, 0x23F, 0x1F])},
-                {"id": rng.choice([0, 1, 2, 255])},
-                {"xmag": 0.0, "ymag": 0.0, "zmag": 0.0},
-                {"xmag": rng.choice([1e-4, 40.0, math.nan])},
-                {"abs_pressure": rng.choice([0.0, 1.0, 1013.0, 101300.0, math.nan])},
-                {},
-            ]
-            sample = m._replace(**rng.choice(changes))
-            if odd < 0.01:
-                frozen = sample if frozen is None else None
-            if frozen is not None:
-                sample = frozen._replace(time_usec=us)
+            said = m._replace(**rng.choice(oddities(layout.name, m, rng)))
+            if layout.name == "HIGHRES_IMU":
+                if odd < 0.01:
+                    frozen = said if frozen is None else None
+                if frozen is not None:
+                    said = frozen._replace(time_usec=m.time_usec)
             sender = stranger if odd > 0.09 else Sender(frame.system_id, frame.component_id)
             sender.sequence = frame.sequence
-            data = sender.frame("HIGHRES_IMU", HIGHRES_IMU.struct.pack(*sample), t_ns)
+            data = sender.frame(layout.name, layout.struct.pack(*said), t_ns)
             if 0.08 < odd < 0.09:
                 place = rng.randrange(len(data))
                 data = (
@@ -95,7 +109,7 @@ def ended(companion):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_odd_samples_are_read_as_by_the_session(seed):
+def test_odd_messages_are_read_as_by_the_session(seed):
     flight = list(disturbed(seed))
     whole, torn = Companion(STREAMING, is_recording=True), Companion(STREAMING, is_recording=True)
     assert told(whole, flight, is_torn=False) == told(torn, flight, is_torn=True)
@@ -111,8 +125,7 @@ def test_plain_samples_are_not_left_to_the_session(kind):
         for data in frames:
             # Until the autopilot's answers are there, the session needs each frame
             if t_ns - begin_ns > GUARDED_NS and data[7:10] == NUMBER:
-                reader = DatagramReader(companion.session)
-                left.append(reader.read_datagram(data, t_ns, None) is None)
+                left.append(companion.reader.read_datagram(data, t_ns, None) is None)
             else:
                 companion.receive(data, t_ns)
         companion.tick(t_ns)

@@ -160,6 +160,19 @@ def without_attitude(firmware):
             yield t_us, frame.raw
 
 
+def often(firmware):
+    """Yield a flight in which attitude and position come with each sample, more often than used."""
+    sender, last = Sender(1, 1), {}
+    for t_us, frame in flown(firmware):
+        yield t_us, frame.raw
+        name, said = LAYOUTS[frame.message_id].name, unpack(frame)._asdict()
+        if name in ("ATTITUDE", "GLOBAL_POSITION_INT"):
+            last[name] = said
+        for more in last if name == "HIGHRES_IMU" else ():
+            stamp = {"time_boot_ms": said["time_usec"] // 1000}
+            yield t_us, sender.message(more, **(last[more] | stamp))
+
+
 def late_at_the_end(firmware):
     """Yield a flight whose last sample came late, with an attitude behind it that is not due."""
     sender = Sender(1, 1)
@@ -213,7 +226,9 @@ def check(frames, tmp_path) -> Events:
 
 
 @pytest.mark.parametrize("firmware", [Firmware.PX4, Firmware.ARDUPILOT])
-@pytest.mark.parametrize("flight", [mixed, rebooted, stuck, without_attitude, late_at_the_end])
+@pytest.mark.parametrize(
+    "flight", [mixed, rebooted, stuck, without_attitude, often, late_at_the_end]
+)
 def test_blocks_give_what_the_frames_give_one_by_one(flight, firmware, tmp_path):
     check(flight(firmware), tmp_path)
 

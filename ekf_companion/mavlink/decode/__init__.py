@@ -10,6 +10,7 @@ air       magnetometer and barometer, whichever message carries them
 position  GPS_RAW_INT, GLOBAL_POSITION_INT
 heading   the autopilot's own heading
 vehicle   armed, landed, and SYSTEM_TIME
+state     what the decoders share with the compiled reader (compiled)
 preference  the choice among several sources of one thing (compiled)
 repetition  whether a sensor is stuck, or at the end of its range (compiled)
 """

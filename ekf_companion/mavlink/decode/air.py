@@ -8,6 +8,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.compass import Compasses
 from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
+from ekf_companion.mavlink.decode.state import FieldState, PressureState
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
@@ -26,7 +27,7 @@ LOWEST, HIGHEST = 30_000.0, 120_000.0
 """Pa; from 9000 m up to below the Dead Sea."""
 
 
-class Magnetometer:
+class Magnetometer(FieldState):
     """Reads the magnetic field from the best message that carries one."""
 
     def __init__(self, context: Context, trim: Trim) -> None:
@@ -130,7 +131,7 @@ def _in_gauss(field: tuple[float, ...]) -> Vector3:
     return x * scale, y * scale, z * scale
 
 
-class Barometer:
+class Barometer(PressureState):
     """Reads the pressure from the best message that carries one."""
 
     def __init__(self, context: Context) -> None:

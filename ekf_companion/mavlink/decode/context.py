@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from ekf_companion.mavlink.decode.state import ContextState
 from ekf_companion.mavlink.timebase import LAST_US, Step, TimeBase
 from ekf_companion.nav.measurements import Measurement, Restart
 
@@ -44,7 +45,7 @@ class DecoderOptions:
     autopilot stamps them as it sends them or in whole milliseconds."""
 
 
-class Context:
+class Context(ContextState):
     """Family, clock, refusals and notes of one autopilot."""
 
     def __init__(

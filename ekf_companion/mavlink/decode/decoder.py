@@ -10,6 +10,7 @@ from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
 from ekf_companion.mavlink.decode.position import Position
 from ekf_companion.mavlink.decode.receiver import Receiver
+from ekf_companion.mavlink.decode.state import DecoderState
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
@@ -22,7 +23,7 @@ HELD = 1024
 """Frames that wait until it is known what the clock did, at most; fewer come in that time."""
 
 
-class Decoder:
+class Decoder(DecoderState):
     """Decodes one autopilot's frames to measurements."""
 
     def __init__(

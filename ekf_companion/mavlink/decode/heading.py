@@ -7,6 +7,7 @@ import math
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.preference import Pace, Preference
+from ekf_companion.mavlink.decode.state import HeadingState
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.measurements import HeadingSample, HeadingSource
 
@@ -15,7 +16,7 @@ SOURCES = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
 """Messages that carry a heading, by rank."""
 
 
-class Heading:
+class Heading(HeadingState):
     """Reads ATTITUDE, else GLOBAL_POSITION_INT, else VFR_HUD."""
 
     def __init__(self, context: Context) -> None:

@@ -9,6 +9,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import FIRST_OTHER, Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
+from ekf_companion.mavlink.decode.state import InertialState
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
@@ -32,7 +33,7 @@ _STARVING = 0.25
 """A finer sensor at less than a quarter of the rate of a coarser one loses more than it gains."""
 
 
-class Inertial:
+class Inertial(InertialState):
     """Reads inertial samples from the best message that carries them."""
 
     def __init__(self, context: Context, mag: Magnetometer, baro: Barometer, trim: Trim) -> None:

@@ -10,6 +10,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
+from ekf_companion.mavlink.decode.state import PositionState
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.earth import is_place
@@ -72,7 +73,7 @@ class _Receiver:
         self.yaw = HeldHeading()
 
 
-class Position:
+class Position(PositionState):
     """Reads the position of each receiver, and of the autopilot's own estimate."""
 
     def __init__(self, context: Context, heading: Heading) -> None:
@@ -90,8 +91,7 @@ class Position:
         """When the autopilot's own position came first."""
         self.is_settled = False
         """Whether it is known whether a receiver speaks, and one that does has had a fix."""
-        self.derived_std = (_DERIVED_STD_H, _DERIVED_STD_V, _DERIVED_STD_VEL)
-        """One sigma of the autopilot's own position, height and velocity."""
+        self._derived_std = (_DERIVED_STD_H, _DERIVED_STD_V, _DERIVED_STD_VEL)
 
     def gps_raw_int(self, frame: Frame) -> Measurements:
         """Read GPS_RAW_INT."""
@@ -237,7 +237,7 @@ class Position:
         speed, course = m.vel * 1e-2, math.radians(m.cog * 1e-2)
         std_vel = (m.vel_acc * 1e-3 or _STD_VEL) if has_velocity else None
         if not flags:
-            self.derived_std = (
+            self._derived_std = (
                 max(_DERIVED_STD_H, _DERIVED * std_h),
                 max(_DERIVED_STD_V, _DERIVED * std_v),
                 max(_DERIVED_STD_VEL, _DERIVED * (std_vel or 0.0)),
@@ -274,23 +274,25 @@ class Position:
             return out
         if not self.derived_pace.admit(t_ns):
             return out
-        std_h, std_v, std_vel = self.derived_std
-        out.append(
-            GnssFix(
-                t_ns=t_ns,
-                lat=math.radians(m.lat * 1e-7),
-                lon=math.radians(m.lon * 1e-7),
-                alt=m.alt * 1e-3,
-                vel_north=m.vx * 1e-2,
-                vel_east=m.vy * 1e-2,
-                vel_down=m.vz * 1e-2,
-                std_h=std_h,
-                std_v=std_v,
-                std_vel=std_vel,
-                flags=GnssFlag.DERIVED,
-            )
-        )
+        out.append(self.derived(m, t_ns))
         return out
+
+    def derived(self, m: Any, t_ns: int) -> GnssFix:
+        """Return what a GLOBAL_POSITION_INT says as a fix."""
+        std_h, std_v, std_vel = self._derived_std
+        return GnssFix(
+            t_ns=t_ns,
+            lat=math.radians(m.lat * 1e-7),
+            lon=math.radians(m.lon * 1e-7),
+            alt=m.alt * 1e-3,
+            vel_north=m.vx * 1e-2,
+            vel_east=m.vy * 1e-2,
+            vel_down=m.vz * 1e-2,
+            std_h=std_h,
+            std_v=std_v,
+            std_vel=std_vel,
+            flags=GnssFlag.DERIVED,
+        )
 
     def _derived_refusal(self, t_ns: int) -> str | None:
         """Return why the autopilot's own position is none yet; None if it may be one.

@@ -11,6 +11,7 @@ import math
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
+from ekf_companion.mavlink.decode.state import TrimState
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.mounting import LARGEST_TRIM, trim_matrix
@@ -20,7 +21,7 @@ LATEST_NS = 3 * SECOND_NS
 """After the first inertial sample: the answer to a request takes 0.1 s."""
 
 
-class Trim:
+class Trim(TrimState):
     """Rotates vectors from the board to the vehicle, as far as the autopilot says how."""
 
     def __init__(self, context: Context) -> None:

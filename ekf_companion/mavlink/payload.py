@@ -1,0 +1,301 @@
+"""The messages that come most often, from their payloads to rows (compiled).
+
+Each is read where it plainly follows the last of its kind, to the bit as the decoder reads it. One
+that may change anybody's mind (a stamp that leaps, another sensor, a field that is not the Earth's)
+is not: nothing has changed then.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cython
+import numpy as np
+import numpy.typing as npt
+from cython.cimports.libc.math import isfinite, sqrt
+
+from ekf_companion.mavlink.clock import FOREIGN
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
+from ekf_companion.mavlink.decode.context import Measurements
+from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
+from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, OUT_OF_ORDER, PRESSURE
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.messages import IDS, by_name
+from ekf_companion.mavlink.past_frames import SLACK_US
+from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.timebase import LAST_US, NEAR_US, SURE_US, UNIX_FROM_US
+from ekf_companion.nav.buffer import EventBuffer
+from ekf_companion.nav.earth import is_place, pressure_altitude
+from ekf_companion.nav.measurements import WIDTH, HeadingSource, Kind, Row
+
+# Numbers here, and those that are imported, are typed in the .pxd
+ROOM = 64
+"""Bytes of the longest payload that is read here."""
+BOOT_US = (1 << 31) * 1000
+"""Times since boot beyond are left to the decoder: they wrap."""
+DEGREE = math.pi / 180.0
+OF_AUTOPILOT = float(HeadingSource.AUTOPILOT)
+IMU_ROW, MAG_ROW, BARO_ROW, HEADING_ROW = Kind.IMU, Kind.MAG, Kind.BARO, Kind.HEADING
+
+
+class PayloadReader:
+    """Reads payloads for one session, and writes rows into the arrays of a buffer."""
+
+    def __init__(self, session: Session) -> None:
+        """Begin with a buffer for the rows of one frame."""
+        self.session, self.decoder = session, session.decoder
+        decoder, options = session.decoder, session.options.decoder
+        self.context, self.trim, self.imu = decoder.context, decoder.trim, decoder.inertial
+        self.mag, self.baro, self.heading = decoder.mag, decoder.baro, decoder.heading
+        self.position = decoder.position
+        self.imu_id, self.heading_std = options.imu_id, options.heading_std
+        self.clock, self.is_idle = decoder.clock, False
+        self.our_system, self.our_component = session.outbox.ids
+        # One payload, which each message overlays
+        self.payload = payload = np.zeros(ROOM, dtype=np.uint8)
+        self.sample, self.attitude = _overlay(payload, "HIGHRES_IMU"), _overlay(payload, "ATTITUDE")
+        self.place = _overlay(payload, "GLOBAL_POSITION_INT")
+        self.timesync = _overlay(payload, "TIMESYNC")
+        self.own = EventBuffer(1)
+        self.use(self.own)
+
+    def use(self, buffer: EventBuffer) -> None:
+        """Write rows into a buffer."""
+        self.buffer, self.n, self.limit = buffer, buffer.size, buffer.limit
+        self.out_t, self.out_kind, self.out = buffer.t_ns, buffer.kind, buffer.values
+
+    def begin_row(self, t_ns: int, kind: int) -> int:
+        """Begin a row of zeros; return its number."""
+        i = self.n
+        self.out_t[i], self.out_kind[i] = t_ns, kind
+        for j in range(self.out.shape[1]):
+            self.out[i, j] = 0.0
+        self.n += 1
+        return i
+
+    def put_rows(self, measurements: Measurements) -> None:
+        """Write the rows of measurements that the decoder has made."""
+        if measurements:
+            self.buffer.size = self.n
+            for measurement in measurements:
+                self.buffer.append(measurement.row())
+            self.use(self.buffer)
+
+    def put_vector(self, i: int, first: int, x: float, y: float, z: float) -> None:
+        """Write a vector of the board into a row, in the vehicle's axes."""
+        if self.trim.rows is not None:
+            x, y, z = self.trim.to_vehicle(x, y, z)
+        self.out[i, first], self.out[i, first + 1], self.out[i, first + 2] = x, y, z
+
+    def put_heading(self, t_ns: int, heading: float) -> None:
+        """Write a heading of the autopilot's, rad."""
+        self.heading.pace.admit(t_ns)
+        i = self.begin_row(t_ns, HEADING_ROW)
+        self.out[i, 0], self.out[i, 1] = wrap(heading), self.heading_std
+        self.out[i, 2] = OF_AUTOPILOT
+
+    def take_rows(self) -> list[Row]:
+        """Return the rows of the buffer."""
+        rows = []
+        for i in range(self.n):
+            values = tuple([self.out[i, j] for j in range(WIDTH)])
+            rows.append((self.out_t[i], self.out_kind[i], values))
+        return rows
+
+    def free(self) -> None:
+        """Write the rows of the frames that waited."""
+        if self.decoder.held:
+            held, self.decoder.held = self.decoder.held, []
+            for _, measurements in held:
+                self.put_rows(measurements)
+
+    def read_timesync(self) -> bool:
+        """Count an answer to somebody else, or a request; without requests of ours all are."""
+        m = self.timesync[0]
+        if not self.is_idle:
+            return False
+        if m.tc1 != 0:
+            self.session.timesync.refused[FOREIGN] += 1
+            return True
+        is_system = m.target_system == 0 or m.target_system == self.our_system
+        is_component = m.target_component == 0 or m.target_component == self.our_component
+        if not (is_system and is_component):
+            self.session.misaddressed[IDS["TIMESYNC"]] += 1
+        return True
+
+    def is_near(self, stamp: int) -> bool:
+        """Return whether a time since boot, us, is near that of the inertial samples."""
+        main = self.clock.main
+        if main.latest_us is None or main.leap_us is not None:
+            return False
+        latest = cython.declare(cython.longlong, main.latest_us)
+        if latest > UNIX_FROM_US or latest > BOOT_US or stamp == 0:
+            return False
+        # One that is further behind may have been heard before
+        return -SLACK_US <= stamp - latest <= NEAR_US
+
+    def advance(self, stamp: int, now_ns: int) -> None:
+        """Advance the clock to a time since boot, us, that arrived now, and free what waited."""
+        self.clock.now_us = now_ns // 4000 * 4
+        self.clock.advance_boot_ms(stamp // 1000)
+        if not self.clock.is_behind:
+            self.free()
+
+    def read_attitude(self, now_ns: int) -> bool:
+        """Follow the stamp of an attitude, and write its heading if that is due."""
+        m, main = self.attitude[0], self.clock.main
+        stamp = cython.cast(cython.longlong, m.time_boot_ms) * 1000
+        if self.context.is_yaw_ours or not self.is_near(stamp):
+            return False
+        is_late = stamp < main.latest_us
+        if is_late and main.behind_us is not None and stamp - main.behind_us >= SURE_US:
+            return False
+        is_due = self.heading.pace.is_due(stamp * 1000)
+        if not isfinite(m.yaw) or self.heading.sources.rank != 0 or (is_due and is_late):
+            return False
+        self.advance(stamp, now_ns)
+        self.heading.sources.admit(0, stamp * 1000)
+        if is_due:
+            self.put_heading(stamp * 1000, m.yaw)
+        return True
+
+    def read_position(self, frame: Frame, now_ns: int) -> bool:
+        """Follow the stamp of an autopilot's own position, and write what of it is due."""
+        m = self.place[0]
+        stamp = cython.cast(cython.longlong, m.time_boot_ms) * 1000
+        if self.context.is_ours or self.context.is_yaw_ours or not self.is_near(stamp):
+            return False
+        if not self.position.is_settled:
+            return False
+        if self.session.options.guard is not None and not self.session.origin.is_shown:
+            return False
+        if stamp < self.clock.main.latest_us or not is_place(1e-7 * m.lat, 1e-7 * m.lon):
+            return False
+        self.advance(stamp, now_ns)
+        t_ns = stamp * 1000
+        is_taken = m.hdg <= NORTH_CDEG and self.heading.sources.admit(1, t_ns)
+        if is_taken and self.heading.pace.is_due(t_ns):
+            self.put_heading(t_ns, m.hdg * 1e-2 * DEGREE)
+        if self.position.derived_pace.admit(t_ns):
+            self.put_rows([self.decoder.position.derived(unpack(frame), t_ns)])
+        return True
+
+    def read_fix(self, frame: Frame) -> bool:
+        """Let the decoder read a fix of the receiver, which says nothing of the clock."""
+        if self.clock.is_behind or self.session.past.is_behind(frame, self.clock):
+            return False
+        measurements = self.decoder.position.gps_raw_int(frame)
+        if self.decoder.notes:
+            self.session.emit_notes()
+        self.free()
+        self.put_rows(measurements)
+        return True
+
+    def read_inertial(self) -> bool:
+        """Read a sample that plainly follows the last, with what came with it."""
+        m = self.sample[0]
+        rank = 0 if m.id == self.imu_id else m.id + 1
+        if rank != self.imu.instances.rank or self.imu.sources.rank != 0:
+            return False
+        if self.trim.first_ns is None or m.fields_updated & ACCEL_GYRO != ACCEL_GYRO:
+            return False
+        t_us = cython.cast(cython.longlong, m.time_usec)
+        if not 0 < t_us <= LAST_US or t_us <= self.imu.last_us:
+            return False
+        gx, gy, gz = m.xgyro, m.ygyro, m.zgyro
+        ax, ay, az = m.xacc, m.yacc, m.zacc
+        mx, my, mz, pressure = m.xmag, m.ymag, m.zmag, m.abs_pressure
+        if not isfinite(gx + gy + gz + ax + ay + az):
+            return False
+        has_field = m.fields_updated & MAG == MAG
+        is_zero = mx == 0.0 and my == 0.0 and mz == 0.0
+        has_pressure = m.fields_updated & PRESSURE != 0 and pressure != 0.0
+        if has_field and not is_zero and not self.can_read_field(mx, my, mz):
+            return False
+        if has_pressure and not self.can_read_pressure(pressure):
+            return False
+        if not self.clock.follow(t_us):
+            return False
+        self.free()
+        t_ns = t_us * 1000
+        if rank != self.imu.instances.sole:
+            self.imu.instances.admit(rank, t_ns)
+        why = self.imu.repetition.judge_axes(t_us, gx, gy, gz, ax, ay, az)
+        self.imu.last_us = t_us
+        if why is not None:
+            is_refused = self.decoder.inertial.is_refused(why)
+            self.session.emit_notes()
+            if is_refused:
+                return True
+        if self.imu.sources.sole != 0:
+            self.imu.sources.admit(0, t_ns)
+        sampled = t_ns if self.imu.dejitter is None else self.imu.dejitter.smooth(t_us)
+        if sampled is None:
+            self.decoder.refused[f"IMU: {OUT_OF_ORDER}"] += 1
+        else:
+            t_ns = sampled
+            i = self.begin_row(t_ns, IMU_ROW)
+            self.put_vector(i, 0, gx, gy, gz)
+            self.put_vector(i, 3, ax, ay, az)
+        if has_field and not is_zero:
+            self.read_field(t_ns, mx, my, mz)
+        elif has_field and self.mag.last:
+            self.decoder.refused["mag: of zeros"] += 1
+        if has_pressure:
+            self.read_pressure(t_ns, pressure)
+        return True
+
+    def is_last(self, x: float, y: float, z: float) -> bool:
+        """Return whether a magnetic field is the last one again."""
+        if not self.mag.last:
+            return False
+        was_x, was_y, was_z = self.mag.last
+        return x == was_x and y == was_y and z == was_z
+
+    def can_read_field(self, x: float, y: float, z: float) -> bool:
+        """Return whether a magnetic field, gauss, is the last one again, or the Earth's."""
+        if self.mag.sources.rank != 0:
+            return False
+        return WEAKEST <= sqrt(x * x + y * y + z * z) <= STRONGEST or self.is_last(x, y, z)
+
+    def read_field(self, t_ns: int, x: float, y: float, z: float) -> None:
+        """Write a magnetic field that is not the last one again."""
+        if self.mag.sources.sole != 0:
+            self.mag.sources.admit(0, t_ns)
+        if not self.is_last(x, y, z):
+            self.mag.last, self.mag.strange = (x, y, z), 0
+            self.put_vector(self.begin_row(t_ns, MAG_ROW), 0, x, y, z)
+
+    def can_read_pressure(self, pressure: float) -> bool:
+        """Return whether a pressure is the last one again, or in hPa that of the air."""
+        if self.baro.sources.rank != 0:
+            return False
+        if pressure == self.baro.last:
+            return True
+        if self.context.is_submarine or LOWEST <= pressure <= HIGHEST:
+            return False
+        return LOWEST <= pressure * 100.0 <= HIGHEST
+
+    def read_pressure(self, t_ns: int, pressure: float) -> None:
+        """Write the height of a pressure, hPa, that is not the last one again."""
+        if self.baro.sources.sole != 0:
+            self.baro.sources.admit(0, t_ns)
+        if pressure != self.baro.last:
+            self.baro.last = pressure
+            self.out[self.begin_row(t_ns, BARO_ROW), 0] = pressure_altitude(pressure * 100.0)
+
+
+def _overlay(payload: npt.NDArray[np.uint8], message: str) -> npt.NDArray[np.void]:
+    """Return a payload as the one record of a message that lies in it."""
+    layout = by_name(message)
+    return payload[: layout.size].view(layout.dtype).view(np.recarray)
+
+
+def fill(payload: npt.NDArray[np.uint8], data: bytes, begin: int, size: int) -> None:
+    """Copy a payload, and the zeros that it lacks at its end."""
+    size = min(size, ROOM)
+    for i in range(size):
+        payload[i] = data[begin + i]
+    for i in range(size, ROOM):
+        payload[i] = 0

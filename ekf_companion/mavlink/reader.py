@@ -1,0 +1,244 @@
+"""The frames that come most often, from bytes to rows (compiled): live one, of a log many.
+
+Nearly all frames are inertial samples that plainly follow the last, attitudes, positions, and
+messages that nobody reads. Those are read here, to the bit as the session and its decoder read
+them. A frame that may change anybody's mind (a heartbeat, a command, a parameter, a stamp that
+leaps, another sensor) is left to the session.
+
+Few objects are touched: a processor that is idle between two samples has to fetch each of them
+anew, and that takes longer than what is done with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import numpy as np
+import numpy.typing as npt
+from cython.cimports.ekf_companion.mavlink.payload import fill
+
+from ekf_companion.mavlink.autopilot_estimate import KEPT
+from ekf_companion.mavlink.decode.decoder import HELD
+from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNED, STX_2, Frames, checksum, parsed
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS
+from ekf_companion.mavlink.payload import PayloadReader
+from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.timebase import LAST_US
+from ekf_companion.nav.buffer import EventBuffer
+from ekf_companion.nav.measurements import Row
+
+# Numbers here, and those that are imported, are typed in the .pxd
+BYTES, ANYBODYS, AUTOPILOTS, READ, PASSED = range(-1, 4)
+INERTIAL, ATTITUDE, TIMESYNC, FIX, POSITION = range(4, 9)
+"""What is made of a message. Its bytes go to the session; the session takes it from anybody, or
+from the autopilot only; the decoder reads it; nobody does; or it is one of those read here."""
+HEARTBEAT_ID, ODOMETRY_ID = IDS["HEARTBEAT"], IDS["ODOMETRY"]
+
+
+def kinds_of(session: Session) -> npt.NDArray[np.int8]:
+    """Return what is made of each message, by its id."""
+    kinds = np.full(max(CRC_EXTRAS) + 1, BYTES, dtype=np.int8)
+    kinds[list(CRC_EXTRAS)] = PASSED
+    kinds[list(session.decoder.readers)] = READ
+    kinds[list(session.peer_routes)] = AUTOPILOTS
+    kinds[list(KEPT)] = np.maximum(kinds[list(KEPT)], READ)  # what is asked of nobody may wait
+    own = {"HIGHRES_IMU": INERTIAL, "ATTITUDE": ATTITUDE, "TIMESYNC": TIMESYNC}
+    own |= {"GPS_RAW_INT": FIX, "GLOBAL_POSITION_INT": POSITION}
+    kinds[[IDS[name] for name in own]] = list(own.values())
+    kinds[list(session.all_routes)] = ANYBODYS
+    kinds[IDS["SETUP_SIGNING"]] = BYTES
+    return kinds
+
+
+class Reader(PayloadReader):
+    """Reads frames for one session, as far as it can."""
+
+    def __init__(self, session: Session) -> None:
+        """Begin without frames."""
+        super().__init__(session)
+        self.numbers, self.kinds, self.changes = session.sequence, kinds_of(session), -1
+        self.received = np.zeros(len(self.kinds), dtype=np.int64)
+
+    # A log: many frames, as many rows as the buffer takes
+
+    def open(self, frames: Frames) -> None:
+        """Take the next frames; all before have been read."""
+        self.close()
+        self.frames, self.start, self.end = frames, frames.start, frames.end
+        self.message_id, self.stamp_us = frames.message_id, frames.stamp_us
+
+    def close(self) -> None:
+        """Leave all that is known to the session."""
+        counts = np.asarray(self.received)
+        for number in np.flatnonzero(counts).tolist():
+            self.session.received[number] += int(counts[number])
+        counts[:] = 0
+
+    def is_whole(self, i: int) -> bool:
+        """Return whether the session may take a frame as a whole, and needs not see its bytes."""
+        self.look_at(self.frames.data)
+        return self.kind_of(i) != BYTES and self.session.splitter.is_empty
+
+    def read(self, i: int, buffer: EventBuffer) -> int:
+        """Read frames from one on; return the first that is left to the session, or their number.
+
+        It also ends where the buffer is full.
+        """
+        self.look_up()
+        if not self.is_open or self.session.options.is_recording:
+            return i
+        self.look_at(self.frames.data)
+        self.use(buffer)
+        end = self.read_on(i)
+        buffer.size = self.n
+        if end > i:
+            self.session.past.keep_run(self.frames, i, end)
+        return end
+
+    def read_on(self, i: int) -> int:
+        """Do the work of :meth:`read`."""
+        count = size = heard = echoes = 0
+        while i < self.start.shape[0] and self.n < self.limit:
+            kind, number, place = self.kind_of(i), self.message_id[i], self.start[i]
+            head = place + 5 if self.data[place] == STX_2 else place + 3
+            if kind == BYTES:
+                break
+            if self.is_from(head, self.our_system, self.our_component):
+                if number == HEARTBEAT_ID or (number == ODOMETRY_ID and self.is_yielding):
+                    break
+                echoes += 1
+            elif kind == ANYBODYS:
+                break
+            elif self.is_from(head, self.peer_system, self.peer_component):
+                if not self.read_frame(kind, place, self.end[i], number, self.stamp_us[i] * 1000):
+                    break
+                self.received[number] += 1
+                heard += 1
+            count += 1
+            size += self.end[i] - place
+            i += 1
+        if count:
+            self.session.pass_over(count, size, heard, echoes)
+        return i
+
+    def kind_of(self, i: int) -> int:
+        """Return what is made of a frame."""
+        number, place, stamp = self.message_id[i], self.start[i], self.stamp_us[i]
+        if number >= self.kinds.shape[0] or not 0 <= stamp <= LAST_US:
+            return BYTES
+        if self.data[place] == STX_2 and self.data[place + 2] > SIGNED:
+            return BYTES
+        return self.kinds[number]
+
+    def look_at(self, piece: bytes) -> None:
+        """Read the frames that lie in these bytes."""
+        self.piece, self.data = piece, piece
+
+    def is_from(self, place: int, system: int, component: int) -> bool:
+        """Return whether these ids stand at a place."""
+        return self.data[place] == system and self.data[place + 1] == component
+
+    # Live: one frame, and its rows
+
+    def read_datagram(self, data: bytes, now_ns: int, sender: Hashable) -> list[Row] | None:
+        """Return the rows of a datagram that was read now; None: it is left to the session.
+
+        What it says is counted, and recorded, as the session would.
+        """
+        number = self.message_of(data)
+        if number < 0 or data[2] != 0:
+            return None
+        kind = self.kinds[number]
+        if kind <= READ or kind == TIMESYNC:
+            return None
+        if self.session.changes != self.changes:
+            self.look_up()
+        if not self.is_open or sender != self.sender:
+            return None
+        size = len(data)
+        self.look_at(data)
+        if not self.is_from(5, self.peer_system, self.peer_component):
+            return None
+        if checksum(data[1 : size - 2], number) != data[size - 2] | data[size - 1] << 8:
+            return None
+        if self.buffer is not self.own:
+            self.use(self.own)
+        self.n = 0
+        if not self.read_frame(kind, 0, size, number, now_ns):
+            return None
+        self.session.note_frame(parsed(number, data), now_ns)
+        return self.take_rows()
+
+    def may_wait(self, data: bytes, due_ns: int) -> bool:
+        """Return whether bytes may as well be received a moment later, with those after them.
+
+        They may if they are one frame that says what the autopilot measures or estimates, which
+        nobody answers; a sample, if its stamp is before a time at which something is due.
+        """
+        number = self.message_of(data)
+        if number < 0:
+            return False
+        kind = self.kinds[number]
+        if kind == INERTIAL:
+            stamp_us = int.from_bytes(data[10:18], "little")
+            return stamp_us * 1000 < due_ns
+        return bool(kind >= READ and kind != TIMESYNC)
+
+    def message_of(self, data: bytes) -> int:
+        """Return the id of the message of a datagram of one frame; -1: it is none that is known."""
+        size = len(data)
+        if size < HEADER_SIZE or data[0] != STX_2 or data[1] + HEADER_SIZE != size:
+            return -1
+        number: int = data[7] | data[8] << 8 | data[9] << 16
+        return number if number < self.kinds.shape[0] else -1
+
+    # Both
+
+    def look_up(self) -> None:
+        """Look up where the session stands, after it has done something else."""
+        session = self.session
+        self.changes, self.sender = session.changes, session.autopilot_sender
+        self.clock, self.is_idle = self.context.clock, session.timesync.is_idle
+        self.is_yielding = session.clash.is_yielding
+        peer, ours = session.discovery.peer, session.outbox.ids
+        self.peer_system, self.peer_component = peer or (-1, -1)
+        self.our_system, self.our_component = ours
+        self.is_open = (
+            peer is not None
+            and peer != ours
+            and session.splitter.is_empty
+            and session.splitter.sender == self.sender
+            and not session.guard.is_waiting
+            and not session.admission.is_selective
+            and session.on_frame is None
+        )
+
+    def read_frame(self, kind: int, place: int, end: int, number: int, now_ns: int) -> bool:
+        """Read a frame of the autopilot that arrived now; return whether it could be read here."""
+        is_second = self.data[place] == STX_2
+        if kind <= READ:
+            return False
+        if kind != PASSED and kind != FIX:
+            begin = place + (10 if is_second else 6)
+            fill(self.payload, self.data, begin, self.data[place + 1])
+        if kind == INERTIAL:
+            is_read = self.read_inertial()
+        elif kind == ATTITUDE:
+            is_read = self.read_attitude(now_ns)
+        elif kind == TIMESYNC:
+            is_read = self.read_timesync()
+        elif kind == POSITION:
+            is_read = self.read_position(parsed(number, self.piece[place:end]), now_ns)
+        elif kind == FIX:
+            is_read = self.read_fix(parsed(number, self.piece[place:end]))
+        else:
+            is_read = True
+        if not is_read:
+            return False
+        self.numbers.count(self.data[place + (4 if is_second else 2)], now_ns)
+        # A frame behind the clock waits with those held; the next that is not frees them
+        if not self.clock.is_behind:
+            self.free()
+        elif len(self.decoder.held) < HELD:
+            self.decoder.held.append((parsed(number, self.piece[place:end]), []))
+        return True
