@@ -109,6 +109,9 @@ class Companion:
         """Resets of ODOMETRY that the autopilot was told, at the last comparison."""
         self._family = Family.UNKNOWN
         self._health_due = Due(1.0)
+        self._pause = 0, 0
+        """From which stamp until which nothing of an estimate is looked at, unless the autopilot
+        says something of itself."""
         self._has_sample = False
         self._early: list[Row] = []
         """What came before it was known what to begin with."""
@@ -159,19 +162,31 @@ class Companion:
         # Begin with a new autopilot, take what somebody has set
         if self.session.has_events:
             self._handle_events(now_ns)
-        messages: list[Message] = []
-        if self.pipeline is None:
-            return messages
+        found: list[Message] = []
+        pipeline, publisher, session = self.pipeline, self._publisher, self.session
+        if pipeline is None or publisher is None:
+            return found
         if not self._has_sample:
             # Go on from a checkpoint, if there is one that fits the inertial samples
-            rows = self._start_from(rows, self.pipeline, now_ns)
+            rows = self._start_from(rows, pipeline, now_ns)
         for row in rows:
             # Order and fuse it; the newest inertial sample gives an estimate
-            estimate = self.pipeline.process_row(row)
-            if estimate is not None:
-                # Send what is due of it
-                messages += self._publish(estimate, now_ns)
-        return messages
+            if (estimate := pipeline.process_row(row)) is None:
+                continue
+            self.estimate, self._estimated_ns = estimate, now_ns
+
+            # Look at it once a second, and compare what the autopilot says with it
+            t_ns, (begin_ns, end_ns) = estimate.t_ns, self._pause
+            is_said = session.autopilot_estimate.changes != self._comparison.seen
+            if is_said or not begin_ns <= t_ns < end_ns:
+                self._judge(estimate, publisher, now_ns)
+
+            # Send what is due of it
+            messages = publisher.due(estimate)
+            for message in messages:
+                session.publish(message, now_ns, t_ns)
+            found += messages
+        return found
 
     def tick(self, now_ns: int) -> None:
         """Do what is due: heartbeats, requests, time-outs."""
@@ -218,36 +233,21 @@ class Companion:
         if self._announcer is not None:
             self._announcer.estimate.on_pause(seconds, now_ns)
 
-    def _publish(self, estimate: Estimate, now_ns: int) -> list[Message]:
-        """Send what is due of an estimate; look at the filter's health once a second."""
-        if (publisher := self._publisher) is None:
-            return []
-        self.estimate, self._estimated_ns = estimate, now_ns
-        t_ns, session, comparison = estimate.t_ns, self.session, self._comparison
-        begin_ns, end_ns = self._health_due.pause
-        if self._announcer is not None and not begin_ns <= t_ns < end_ns:
-            self._look_at_health(estimate, publisher, self._announcer, now_ns)
-        begin_ns, end_ns = comparison.pause
-        is_said = session.autopilot_estimate.changes != comparison.seen
-        if is_said or not begin_ns <= t_ns < end_ns:
-            self._compare(estimate, publisher)
-        messages = publisher.due(estimate)
-        for message in messages:
-            session.publish(message, now_ns, t_ns)
-        return messages
-
-    def _look_at_health(
-        self, estimate: Estimate, publisher: Publisher, announcer: Announcer, now_ns: int
-    ) -> None:
-        """Announce what has become of the filter and of the stream, and tell our state."""
-        if not self._health_due.is_due(estimate.t_ns):
-            return
-        health = estimate.health
-        announcer.estimate.on_health(health, now_ns)
-        if (stream := publisher.stream) is not None:
-            is_sent = self.session.stream_state.is_streaming
-            announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
-        self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
+    def _judge(self, estimate: Estimate, publisher: Publisher, now_ns: int) -> None:
+        """Look at the filter's health once a second, and at what the autopilot says of itself."""
+        announcer = self._announcer
+        if announcer is not None and self._health_due.is_due(estimate.t_ns):
+            health = estimate.health
+            announcer.estimate.on_health(health, now_ns)
+            if (stream := publisher.stream) is not None:
+                is_sent = self.session.stream_state.is_streaming
+                announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
+            self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
+        self._compare(estimate, publisher)
+        self._pause = begin_ns, end_ns = self._comparison.pause
+        if announcer is not None:
+            due_ns, until_ns = self._health_due.pause
+            self._pause = max(begin_ns, due_ns), min(end_ns, until_ns)
 
     def _compare(self, estimate: Estimate, publisher: Publisher) -> None:
         """Compare what the autopilot said last of itself with ours, if that is new."""
@@ -286,6 +286,7 @@ class Companion:
                 case Rebooted():
                     self.estimate = None
                     self._comparison.forget()
+                    self._pause = 0, 0
                     if self._publisher is not None:
                         self._publisher.frame.forget()
                 case ParameterSet(key=key, value=value):
@@ -302,7 +303,7 @@ class Companion:
         self.vehicle, self._family, self.estimate = vehicle, peer.family, None
         self.pipeline = self._open_pipeline(config, peer.family.value)
         self._publisher = Publisher(config, peer.family)
-        self._health_due = Due(1.0)
+        self._health_due, self._pause = Due(1.0), (0, 0)
         self._early = []
         self._offer_streams()
         if self._warm_start is not None:

@@ -39,6 +39,7 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
+from ekf_companion.mavlink.past_frames import KEPT as MOST_WAITING
 from ekf_companion.mavlink.past_frames import PLACES, PastFrames
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.second_source import SecondSource
@@ -266,12 +267,19 @@ class Session:
 
     def note_frame(self, frame: Frame, now_ns: int) -> None:
         """Count, keep and record a frame of the autopilot that was processed elsewhere."""
-        self.pass_over(1, len(frame.raw), 1)
+        self.received_bytes += len(frame.raw)
         self.received[frame.message_id] += 1
-        self.past.keep(frame)
+        self.heard += 1
+        self.believed += 1
+        self.splitter.frames += 1
+        self.splitter.is_framed = True
+        self.past.waiting.append(frame)
+        if len(self.past.waiting) > MOST_WAITING:
+            self.past.drop()
         if frame.message_id in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
-        self.outbox.record(frame.raw, now_ns)
+        if self.options.is_recording:
+            self.outbox.record(frame.raw, now_ns)
 
     def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
         """Handle what anybody may say; return whether it was the autopilot who said it."""
