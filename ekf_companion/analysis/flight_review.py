@@ -25,10 +25,11 @@ from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
 from ekf_companion.replay.log_source import onboard
 from ekf_companion.replay.report import Report
-from ekf_companion.replay.run import Block, Progress, Run
+from ekf_companion.replay.run import Progress, Run
 from ekf_companion.replay.stretches import Stretches, of_events
 from ekf_companion.replay.verdict import Judgement
 from ekf_companion.replay.watched import Look, WatchedPipeline
+from ekf_companion.replay.worker import Block
 
 SEGMENT = 1024
 """Samples of a piece of the spectrum."""

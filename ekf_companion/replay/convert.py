@@ -22,8 +22,9 @@ from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, join
 from ekf_companion.replay.log_source import open_log, reference, truth, utc_zero_ns
 from ekf_companion.replay.report import Report, summary
-from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
+from ekf_companion.replay.run import Progress, Run
 from ekf_companion.replay.smoothing import Smoothing
+from ekf_companion.replay.worker import Mode
 
 if TYPE_CHECKING:
     from ekf_companion.filters.solution import Solution
@@ -89,13 +90,13 @@ def _convert_to_files(
     progress: Progress | None,
     is_smoothed: bool,
 ) -> Report:
-    run: Run[Smoothing] | Run[BlockPipeline]
+    run: Run[Smoothing] | Run[Pipeline]
     with ExitStack() as stack:
         if is_smoothed:
             run = Run(path, config, Smoothing)
             tables = _smoothed(run, progress)
         else:
-            run = Run(path, config, BlockPipeline)
+            run = Run(path, config, Pipeline)
             tables = (block.table for block in run.blocks(progress))
         label = cache(lambda: Label(path.name, utc_zero_ns(run.log, run.autopilot)))
         writers = [
@@ -115,7 +116,7 @@ def _convert_to_files(
 def _convert_to_messages(
     path: Path, out: Path, config: Config, progress: Progress | None
 ) -> Report:
-    run = Run(path, config, StepPipeline)
+    run = Run(path, config, Pipeline, Mode.ROWS)
     if isinstance(run.log, Recording) and run.log.events.t_ns.min(initial=0) < 0:
         raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
     with create(out) as file:
@@ -162,7 +163,7 @@ def estimate(path: Path, config: Config, progress: Progress | None = None) -> tu
     Raises:
         LogError: As :func:`convert`.
     """
-    run = Run(path, config, BlockPipeline)
+    run = Run(path, config, Pipeline)
     tables = [block.table for block in run.blocks(progress)]
     report = run.finish()
     return join(tables), report
@@ -219,7 +220,7 @@ def read(
         LogError: The log cannot be read, or holds no event at all.
     """
     path = Path(path)
-    run = Run(path, config or Config(), IdlePipeline)
+    run = Run(path, config or Config(), Pipeline, Mode.NEVER)
     tables: list[Events] = []
     families: list[str] = []
     cuts: list[int] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ekf_companion.logs.tlog import Autopilot, Tlog
@@ -14,7 +13,7 @@ from ekf_companion.replay.report import Report
 if TYPE_CHECKING:
     from ekf_companion.engine.checkpoint import Vehicle
     from ekf_companion.engine.companion import Companion
-    from ekf_companion.replay.run import BlockPipeline
+    from ekf_companion.replay.worker import Worker
 
 
 MOST_NAMED = 8
@@ -29,7 +28,7 @@ class Vehicles:
         self._wanted, self._report = wanted, report
         self._senders = senders(log)
         self._silent = unannounced(self._senders, wanted)
-        self._found: list[tuple[Vehicle, BlockPipeline]] = []
+        self._found: list[tuple[Vehicle, Worker]] = []
 
     def attend(self, companion: Companion) -> None:
         """Let a companion find an autopilot without heartbeats; report what it notes."""
@@ -38,7 +37,7 @@ class Vehicles:
             peer = PeerFound(one.system_id, one.component_id, Family(one.family))
             companion.session.discovery.expect(peer)
 
-    def follow(self, companion: Companion, pipelines: Sequence[BlockPipeline]) -> bool:
+    def follow(self, companion: Companion, worker: Worker | None) -> bool:
         """Note who is listened to from now on; return whether it is another than before."""
         vehicle = companion.vehicle
         if vehicle is None or (self._found and vehicle is self._found[-1][0]):
@@ -49,7 +48,8 @@ class Vehicles:
                 f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
                 "there"
             )
-        self._found += [(vehicle, pipeline) for pipeline in pipelines]
+        if worker is not None:
+            self._found.append((vehicle, worker))
         self._report.family = vehicle.family
         return True
 
