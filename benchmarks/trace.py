@@ -6,8 +6,9 @@ file than the call before it; and the calls. A comprehension is none. A module t
 entered and not followed: what compiled code does by itself, before it comes back or calls Python,
 is the one call that began it.
 
-The table shows the median over all frames of a message that bring the same messages, and the most
-of each; ``--calls MESSAGE`` lists the calls of the median frame.
+The table shows the median over all frames of a message that bring the same messages, and the least
+and most of each: a sample may hold a pressure or a field that is due as well, which is one more
+measurement. ``--calls MESSAGE`` lists the calls of the median frame.
 """
 
 from __future__ import annotations
@@ -187,8 +188,8 @@ def rows(seen: Iterable[Seen]) -> Iterator[str]:
     """Yield a row of the table for each message and what it brings."""
     for one in seen:
         usual = cost(one.median)
-        most = Cost(*map(max, zip(*map(cost, one.frames), strict=True)))
-        numbers = [f"{a} | {b}" for a, b in zip(usual, most, strict=True)]
+        costs = list(zip(*map(cost, one.frames), strict=True))
+        numbers = [f"{min(all_)} | {a} | {max(all_)}" for a, all_ in zip(usual, costs, strict=True)]
         yield " | ".join([one.message, ", ".join(one.brought), str(len(one.frames)), *numbers])
 
 
@@ -202,7 +203,8 @@ def main() -> None:
     tracer = Tracer()
     for family in [asked.family] if asked.family else FAMILIES:
         seen = [one for one in watch(family, tracer) if asked.calls in (None, one.message)]
-        head = "message | brings | frames | files | most | moves | most | calls | most"
+        kinds = [f"least {kind} | {kind} | most" for kind in Cost._fields]
+        head = " | ".join(["message | brings | frames", *kinds])
         print(f"\n## {family}\n", *table(head, rows(seen)), sep="\n")
         for one in seen if asked.calls else ():
             print(f"\n{one.message}, bringing {', '.join(one.brought) or 'nothing'}:")

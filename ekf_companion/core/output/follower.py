@@ -9,7 +9,8 @@ estimate at a speed that a follower takes for noise. Or it moves the *frame* in 
 sent, and stays.
 
 All is reckoned from the numbers as a message carries them, in 32 bits, in double precision; what
-one stage changes is a number of 32 bits again before the next.
+one stage changes is a number of 32 bits again before the next. All stages work on the same numbers
+in place, so they are one class in a long file.
 """
 
 from __future__ import annotations
