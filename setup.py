@@ -31,7 +31,7 @@ READERS = ("logs", "mavlink", "mavlink/decode", "nav")
 """Other rooms with modules that are compiled."""
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
-BY_HAND = {"order.stamps", "order.timeline", "output.jump", "rts"}
+BY_HAND = {"order.stamps", "order.timeline", "output.follower", "output.jump", "rts"}
 """Modules with classes, or functions of Python's tuples: their ``.pxd`` is not made here."""
 PAGE = ROOT / "ekf_companion" / "status" / "page"
 CHARTS = "uplot@1.6.32"

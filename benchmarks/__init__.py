@@ -7,6 +7,7 @@ reliability  recovery from faults, the tables of docs/RELIABILITY.md: ``make soa
              ``make endurance``
 truth        whether the status ok is right, by flights of an independent generator: ``make truth``
 sensitivity  the effect of 30 % of each constant of a kernel's file on these: ``make sensitivity``
+trace        how many files, moves and calls one frame goes through, queued ODOMETRY included
 bits         whether a change has altered a bit of any result of a revision: ``make bits``
 
 Shared by these: ``recorded`` (the recorded flights), ``campaign`` (many simulated ones and their

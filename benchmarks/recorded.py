@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.config.config import Config
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table
 from ekf_companion.replay.log_source import READERS, open_log, reference, truth
-from ekf_companion.replay.run import IdlePipeline, Run
+from ekf_companion.replay.run import Run
+from ekf_companion.replay.worker import Mode
 from ekf_companion.review import convert
 from ekf_companion.review.report import Report
 
@@ -77,7 +79,7 @@ def recorded(path: Path) -> Recording:
         recording = open_log(path)
         assert isinstance(recording, Recording)
         return recording
-    run = Run(path, Config(), IdlePipeline)  # a .tlog becomes events only by a session
+    run = Run(path, Config(), Pipeline, Mode.NEVER)  # a .tlog becomes events only by a session
     parts = [block.events for block in run.blocks()]
     return Recording(
         family=run.family,

@@ -21,8 +21,7 @@ import numpy as np
 
 from benchmarks.document import table, write
 from ekf_companion.config.config import Config
-from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.engine.companion import Companion, open_live
 from ekf_companion.logs import tlog
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import COLUMNS, Status
@@ -221,7 +220,7 @@ def estimates(frames: list[Delivered], companion: Companion) -> tuple[Array, Arr
 
 def score(flown: Flown, trouble: Trouble) -> Outcome:
     """Run a flight over such a link, and compare with the truth."""
-    companion = Companion(Config(), open_pipeline=lambda c, family: Pipeline(c, family))
+    companion = Companion(Config(), open_pipeline=open_live)
     arrival, stamp, values = estimates(trouble.deliver(flown.frames), companion)
     begin = _begin(flown.frames)
     kept = np.isfinite(values[:, 0]) & (arrival >= begin)

@@ -23,8 +23,9 @@ from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
 from ekf_companion.replay.log_source import onboard
-from ekf_companion.replay.run import Block, Progress
+from ekf_companion.replay.run import Progress
 from ekf_companion.replay.watched import Look, WatchedPipeline
+from ekf_companion.replay.worker import Block
 from ekf_companion.review.evidence import take_truth
 from ekf_companion.review.report import Report
 from ekf_companion.review.review import Review

@@ -16,14 +16,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from struct import Struct
 from typing import NamedTuple
 
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav import projection
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.projection import Projection
-from ekf_companion.nav.state import Odometry
 
 Place = tuple[float, float, float]
 """Latitude, longitude (rad), altitude above mean sea level (m)."""
@@ -31,7 +29,6 @@ PROJECTIONS: Mapping[Family, Projection] = {
     Family.ARDUPILOT: projection.ARDUPILOT,
     Family.PX4: projection.PX4,
 }
-_POSITION = Struct("<3f")
 _SMOOTH_NS = 1_000_000_000
 """The autopilot's height is noisy by centimetres, from one message to the next."""
 _AGREED = 0.25
@@ -62,6 +59,10 @@ class AutopilotFrame:
 
     def __init__(self, family: Family) -> None:
         self._family, self._projection = family, PROJECTIONS.get(family)
+        self.told_datum = 0.0
+        """As :attr:`datum` was when the origin was told last."""
+        self.changes = 0
+        """Moves with all that positions are put by."""
         self.forget()
 
     def forget(self) -> None:
@@ -70,6 +71,7 @@ class AutopilotFrame:
         """The autopilot's own; None: it has told none, and ours counts."""
         self.datum = 0.0
         """What the autopilot's altitudes are above ours, m."""
+        self.changes += 1
         self._last_ns: int | None = None
         """Of the last height of the autopilot."""
         self._agreed_ns = 0
@@ -94,6 +96,7 @@ class AutopilotFrame:
             self._kept = datum
             if self.origin is not None and self._last_ns is None:
                 self.datum = datum
+                self.changes += 1
 
     def set_origin(self, origin: Place) -> None:
         """Count from an origin of the autopilot."""
@@ -102,6 +105,7 @@ class AutopilotFrame:
         if self.origin is None:
             self.datum, self._last_ns = self._kept or 0.0, None
         self.origin = origin
+        self.changes += 1
 
     def take_height(self, height: Height, *, may_follow: bool, may_choose: bool) -> None:
         """Learn what the autopilot's altitudes are above ours.
@@ -114,6 +118,7 @@ class AutopilotFrame:
         if self._family is not Family.ARDUPILOT or self.origin is None:
             return
         last_ns, self._last_ns = self._last_ns, height.t_ns
+        self.changes += 1
         apart = height.theirs - height.ours - self.datum
         if last_ns is None:
             # nothing was sent yet that counts from this origin, unless by a run before
@@ -147,17 +152,13 @@ class AutopilotFrame:
         level = self._projection.to_metres(*self.origin[:2], *place[:2])
         return math.hypot(*level, self.origin[2] - place[2])
 
-    def express(self, odometry: Odometry, own: Place | None) -> Odometry:
-        """Return an ODOMETRY with its position in the autopilot's frame; ``own`` is our origin."""
+    def place(self, own: Place | None) -> tuple[float, ...] | None:
+        """Return where positions are put, as :class:`Follower` expresses them.
+
+        ``own`` is the origin of the estimates; None: they stay as they are.
+        """
         if self._projection is None or own is None:
-            return odometry
-        north, east, down = _POSITION.unpack_from(odometry.numbers)
-        frame = LocalFrame(*own)
-        to_north, to_east = frame.scale
-        lat, lon = own[0] + north / to_north, own[1] + east / to_east
-        lat_0, lon_0, alt_0 = self.counts_from(own)
-        x, y = self._projection.to_metres(lat, lon, lat_0, lon_0)
-        z = alt_0 - (own[2] - down)
-        return odometry._replace(
-            numbers=_POSITION.pack(x, y, z) + odometry.numbers[_POSITION.size :]
-        )
+            return None
+        sphere = self._projection
+        scale = LocalFrame(*own).scale
+        return sphere.is_azimuthal, sphere.radius, *own, *scale, *self.counts_from(own)

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
+from typing import Protocol
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.announcer import Announcer
 from ekf_companion.engine.checkpoint import Clocks, Vehicle, Why
 from ekf_companion.engine.comparison import Comparison
@@ -56,6 +58,22 @@ UNFED_NS = 2 * SECOND_NS
 """Without an inertial sample for so long, our heartbeat no longer carries the last status."""
 
 
+class Feed(Protocol):
+    """Takes the measurements of one vehicle: its pipeline, or what collects them for it."""
+
+    def process_row(self, row: Row) -> Estimate | None:
+        """Take a measurement; return an estimate if it is the newest sample, and processed."""
+
+    def retune(self, settings: FilterSettings) -> None:
+        """Go on with other settings."""
+
+
+def open_live(config: Config, family: str) -> tuple[Pipeline, Feed]:
+    """Return a pipeline that processes each measurement at once."""
+    pipeline = Pipeline(config, family)
+    return pipeline, pipeline
+
+
 class Companion:
     """One vehicle's estimator on one link.
 
@@ -70,7 +88,7 @@ class Companion:
         warm_start: WarmStart | None = None,
         signing: Signing | None = None,
         tuning: Tuning | None = None,
-        open_pipeline: Callable[[Config, str], Pipeline] | None = None,
+        open_pipeline: Callable[[Config, str], tuple[Pipeline, Feed]] | None = None,
     ) -> None:
         """Begin with no autopilot.
 
@@ -80,8 +98,9 @@ class Companion:
             warm_start: Checkpoints of this run and the last; None: the estimate begins cold.
             signing: What signs and verifies; None: nothing is signed.
             tuning: The configuration as it was tuned over MAVLink; None: as it is.
-            open_pipeline: Opens the pipeline for a configuration and a family of autopilot where a
-                recording is replayed: then nothing is logged, and nobody is sent a text.
+            open_pipeline: Opens the pipeline for a configuration and a family of autopilot, and
+                what feeds it, where a recording is replayed: then nothing is logged, and nobody is
+                sent a text.
         """
         self.tuning = tuning or Tuning(config)
         self.reloads = 0
@@ -97,7 +116,9 @@ class Companion:
         self.pipeline: Pipeline | None = None
         self.estimate: Estimate | None = None
         """The newest; None: none since the autopilot was found or has rebooted."""
-        self._open_pipeline = open_pipeline or Pipeline
+        self._feed: Feed | None = None
+        """What takes the measurements for the pipeline."""
+        self._open_pipeline = open_pipeline or open_live
         self._announcer = Announcer(self.session) if is_live else None
         self.on_event: Callable[[Event], None] | None = None
         """Called with each event of the session, before anything follows from it."""
@@ -109,6 +130,9 @@ class Companion:
         """Resets of ODOMETRY that the autopilot was told, at the last comparison."""
         self._family = Family.UNKNOWN
         self._health_due = Due(1.0)
+        self._pause = 0, 0
+        """From which stamp until which nothing of an estimate is looked at, unless the autopilot
+        says something of itself."""
         self._has_sample = False
         self._early: list[Row] = []
         """What came before it was known what to begin with."""
@@ -159,19 +183,31 @@ class Companion:
         # Begin with a new autopilot, take what somebody has set
         if self.session.has_events:
             self._handle_events(now_ns)
-        messages: list[Message] = []
-        if self.pipeline is None:
-            return messages
+        found: list[Message] = []
+        feed, publisher, session = self._feed, self._publisher, self.session
+        if feed is None or publisher is None:
+            return found
         if not self._has_sample:
             # Go on from a checkpoint, if there is one that fits the inertial samples
-            rows = self._start_from(rows, self.pipeline, now_ns)
+            rows = self._start_from(rows, now_ns)
         for row in rows:
             # Order and fuse it; the newest inertial sample gives an estimate
-            estimate = self.pipeline.process_row(row)
-            if estimate is not None:
-                # Send what is due of it
-                messages += self._publish(estimate, now_ns)
-        return messages
+            if (estimate := feed.process_row(row)) is None:
+                continue
+            self.estimate, self._estimated_ns = estimate, now_ns
+
+            # Look at it once a second, and compare what the autopilot says with it
+            t_ns, (begin_ns, end_ns) = estimate.t_ns, self._pause
+            is_said = session.autopilot_estimate.changes != self._comparison.seen
+            if is_said or not begin_ns <= t_ns < end_ns:
+                self._judge(estimate, publisher, now_ns)
+
+            # Send what is due of it
+            messages = publisher.due(estimate)
+            for message in messages:
+                session.publish(message, now_ns, t_ns)
+            found += messages
+        return found
 
     def tick(self, now_ns: int) -> None:
         """Do what is due: heartbeats, requests, time-outs."""
@@ -183,17 +219,17 @@ class Companion:
             self._estimated_ns = None
             self.session.set_state(encode.SYSTEM_STATUS[Status.INIT], Status.INIT)
 
-    def _start_from(self, rows: Iterable[Row], pipeline: Pipeline, now_ns: int) -> list[Row]:
+    def _start_from(self, rows: Iterable[Row], now_ns: int) -> list[Row]:
         """Return what can be processed by now; nothing until it is known what to begin with."""
         self._early += rows
         warm_start = self._warm_start
         stamps_ns = [row[0] for row in self._early if row[1] == Kind.IMU]
         if not stamps_ns:
             return self._take_early() if warm_start is None or warm_start.is_empty else []
-        if warm_start is not None:
+        if warm_start is not None and self.pipeline is not None:
             if not warm_start.is_judged(stamps_ns[-1], now_ns):
                 return []
-            self._begin_with(warm_start.resume(pipeline, stamps_ns, now_ns), now_ns)
+            self._begin_with(warm_start.resume(self.pipeline, stamps_ns, now_ns), now_ns)
         self._has_sample = True
         return self._take_early()
 
@@ -218,23 +254,21 @@ class Companion:
         if self._announcer is not None:
             self._announcer.estimate.on_pause(seconds, now_ns)
 
-    def _publish(self, estimate: Estimate, now_ns: int) -> list[Message]:
-        """Send what is due of an estimate; look at the filter's health once a second."""
-        if self._publisher is None:
-            return []
-        self.estimate, self._estimated_ns = estimate, now_ns
-        if self._announcer is not None and self._health_due.is_due(estimate.t_ns):
+    def _judge(self, estimate: Estimate, publisher: Publisher, now_ns: int) -> None:
+        """Look at the filter's health once a second, and at what the autopilot says of itself."""
+        announcer = self._announcer
+        if announcer is not None and self._health_due.is_due(estimate.t_ns):
             health = estimate.health
-            self._announcer.estimate.on_health(health, now_ns)
-            if (stream := self._publisher.stream) is not None:
+            announcer.estimate.on_health(health, now_ns)
+            if (stream := publisher.stream) is not None:
                 is_sent = self.session.stream_state.is_streaming
-                self._announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
+                announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
-        self._compare(estimate, self._publisher)
-        messages = self._publisher.due(estimate)
-        for message in messages:
-            self.session.publish(message, now_ns, estimate.t_ns)
-        return messages
+        self._compare(estimate, publisher)
+        self._pause = begin_ns, end_ns = self._comparison.pause
+        if announcer is not None:
+            due_ns, until_ns = self._health_due.pause
+            self._pause = max(begin_ns, due_ns), min(end_ns, until_ns)
 
     def _compare(self, estimate: Estimate, publisher: Publisher) -> None:
         """Compare what the autopilot said last of itself with ours, if that is new."""
@@ -273,6 +307,7 @@ class Companion:
                 case Rebooted():
                     self.estimate = None
                     self._comparison.forget()
+                    self._pause = 0, 0
                     if self._publisher is not None:
                         self._publisher.frame.forget()
                 case ParameterSet(key=key, value=value):
@@ -287,9 +322,9 @@ class Companion:
             return
         config = self.tuning.config
         self.vehicle, self._family, self.estimate = vehicle, peer.family, None
-        self.pipeline = self._open_pipeline(config, peer.family.value)
+        self.pipeline, self._feed = self._open_pipeline(config, peer.family.value)
         self._publisher = Publisher(config, peer.family)
-        self._health_due = Due(1.0)
+        self._health_due, self._pause = Due(1.0), (0, 0)
         self._early = []
         self._offer_streams()
         if self._warm_start is not None:
@@ -312,8 +347,8 @@ class Companion:
 
     def _retune(self, config: Config) -> None:
         """Go on with another configuration."""
-        if self.pipeline is not None:
-            self.pipeline.retune(config)
+        if self._feed is not None:
+            self._feed.retune(config)
         self.session.retune(session_options(config))
         if self._publisher is not None:
             self._publisher.retune(config)

@@ -55,6 +55,10 @@ class Comparison:
     def forget(self) -> None:
         """Forget our estimates: the autopilot's clock begins anew."""
         self._kept.clear()
+        self.pause = 0, 0
+        """From which stamp until which an estimate of ours is not kept, ns."""
+        self.seen = -1
+        """:attr:`AutopilotEstimate.changes` at the last comparison."""
         self._position: Frame | None = None
         self._attitude: Frame | None = None
         self._yaw = math.nan
@@ -62,20 +66,23 @@ class Comparison:
     def keep(self, estimate: Estimate) -> None:
         """Keep an estimate of ours, if the last that was kept is old enough."""
         kept, t_ns = self._kept, estimate.t_ns
-        if kept and 0 <= t_ns - kept[-1].t_ns < _RATE_NS:
+        if self.pause[0] <= t_ns < self.pause[1]:
             return
         if kept and t_ns < kept[-1].t_ns:
             kept.clear()
+            self.pause = 0, 0
         values = estimate.values
         lat, lon, alt, north, east, down, yaw = (float(values[place]) for place in _AT)
         if math.isfinite(lat):
             place = math.radians(lat), math.radians(lon), alt
             kept.append(Ours(t_ns, *place, (north, east, down), yaw))
+            self.pause = t_ns, t_ns + _RATE_NS
 
     def compare(
         self, said: AutopilotEstimate, clock: TimeBase, frame: AutopilotFrame
     ) -> tuple[Height, Separation] | None:
         """Return how the autopilot's newest position lies beside ours; None: it is not new."""
+        self.seen = said.changes
         attitude = said.frame(_ATTITUDE)
         if attitude is not None and attitude is not self._attitude:
             self._attitude = attitude

@@ -5,10 +5,14 @@ from __future__ import annotations
 import logging
 import math
 
+from ekf_companion.core.output.follower import (
+    POSITION_LIMITS,
+    VELOCITY_LIMITS,
+    YAW_LIMITS,
+)
 from ekf_companion.engine.checkpoint import Why
 from ekf_companion.engine.health import DECIMATED, Arrival, Health
 from ekf_companion.engine.pilot import PilotTexts
-from ekf_companion.engine.step import POSITION, VELOCITY, YAW
 from ekf_companion.engine.stream import WAITING, OdometryStream
 from ekf_companion.engine.warm_start import Outcome
 from ekf_companion.mavlink.session import Session
@@ -47,9 +51,9 @@ def _largest(distance: float, speed: float, angle: float) -> tuple[float, str]:
     As a share of that, and in words.
     """
     parts = (
-        (distance / POSITION.most, distance, "m"),
-        (speed / VELOCITY.most, speed, "m/s"),
-        (angle / YAW.most, math.degrees(angle), "deg"),
+        (distance / POSITION_LIMITS[1], distance, "m"),
+        (speed / VELOCITY_LIMITS[1], speed, "m/s"),
+        (angle / YAW_LIMITS[1], math.degrees(angle), "deg"),
     )
     share, value, unit = max(parts)
     return share, f"{value:.{0 if value >= 9.95 else 1}f} {unit}"
@@ -268,7 +272,7 @@ class EstimateAnnouncer:
         if not is_sent:
             return
         if stream.jump is not None and jumps > 0:
-            sizes = stream.jump.step.sizes
+            sizes = stream.jump.sizes
             size, (share, largest) = _size(*sizes), _largest(*sizes)
             what = "told by reset_counter" if stream.jump.is_told else "kept from the autopilot"
             _log.warning(

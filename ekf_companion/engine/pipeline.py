@@ -32,7 +32,8 @@ from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Reason, Status, Tab
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
-_IMU, _ESTIMATED = int(Kind.IMU), int(Arrival.ESTIMATED)  # faster to compare than enums
+_OF_FIELD, _ESTIMATED = {int(Kind.GNSS), int(Kind.MAG)}, int(Arrival.ESTIMATED)
+"""Faster to compare than enums."""
 
 if COMPILED_BLOCK != BLOCK:
     raise ImportError("the compiled kernel is older than its source; install the package anew")
@@ -83,7 +84,7 @@ class Pipeline:
     def process_row(self, row: Row) -> Estimate | None:
         """Process a measurement that is given as a row, as :meth:`process` does."""
         # Add the magnetic field of its place to a fix, remove the vehicle's own from a magnetometer
-        t_ns, kind, values = row if row[1] == _IMU else self._field.complete(row)
+        t_ns, kind, values = self._field.complete(row) if row[1] in _OF_FIELD else row
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
         self._arrival = self._timeline.insert(t_ns, kind, values)
@@ -280,13 +281,16 @@ class Estimate:
     def odometry(self) -> Odometry | None:
         """Content of an ODOMETRY, the same for all listeners; None while there is no position."""
         if self._odometry is False:
-            status, resets, numbers = self._pipeline._timeline.odometry()
+            timeline = self._pipeline._timeline
+            status, resets, numbers = timeline.odometry()
             if status < Status.OK:
                 self._odometry = None
             else:
                 count, quality = self._pipeline.sent_before + resets, QUALITY[Status(status)]
                 whole, relative = numbers[:ODOMETRY_SIZE], numbers[ODOMETRY_SIZE:]
-                self._odometry = Odometry(self.t_ns, whole, count, quality, relative)
+                self._odometry = Odometry(
+                    self.t_ns, whole, count, quality, relative, timeline.origin
+                )
         return self._odometry
 
     @property

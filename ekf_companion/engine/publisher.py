@@ -6,13 +6,12 @@ import math
 from dataclasses import replace
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.output.follower import Follower
 from ekf_companion.core.settings.from_settings import has_mean_samples, imu_lag
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
-from ekf_companion.engine.residual import NO_OFFSET, local_velocity, state_covariance
-from ekf_companion.engine.step import StepMeter
-from ekf_companion.engine.stream import OdometryStream
+from ekf_companion.engine.stream import NO_OFFSET, OdometryStream
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import Frame, Label, StatusFlag, label
@@ -29,8 +28,6 @@ _SMALLEST = {"ODOMETRY": 1.0}
 _SELDOM = 0.1
 """Hz; more rarely is as good as never."""
 _ANY = 1000.0
-_SHIFT = 0.1
-"""m; a datum of height that has moved further is told before the next ODOMETRY."""
 _LOOKS = 30.0
 """Of the estimate, Hz, whether ODOMETRY is due or not: between two of them it moves smoothly."""
 NEVER_NS = 1 << 63
@@ -65,6 +62,8 @@ class Due:
     def __init__(self, rate: float) -> None:
         self._next_ns: int | None = None
         self._is_requested = False
+        self.pause = _NO_PAUSE
+        """From which stamp until which it is not due."""
         self.set_rate(rate)
 
     def set_rate(self, rate: float) -> None:
@@ -86,16 +85,16 @@ class Due:
             return False
         if self._is_requested:
             self._is_requested = False
-        else:
-            if self._next_ns is None or abs(t_ns - self._next_ns) > self._period_ns:
-                self._next_ns = t_ns
-            self._next_ns += self._period_ns
-        self._set_pause()
+            self._set_pause()
+            return True
+        if self._next_ns is None or abs(t_ns - self._next_ns) > self._period_ns:
+            self._next_ns = t_ns
+        self._next_ns += self._period_ns
+        self.pause = self._next_ns - self._period_ns, self._next_ns
         return True
 
     def _set_pause(self) -> None:
         self.pause = _NO_PAUSE
-        """From which stamp until which it is not due."""
         if self._is_requested:
             return
         if not self._period_ns:
@@ -127,29 +126,25 @@ class Publisher:
         is_follower = ours is None and family in (Family.PX4, Family.ARDUPILOT)
         self._is_relative = states == "relative" or (states == "auto" and is_follower)
         self._climb_time = odometry.climb_time if self._is_relative else 0.0
+        is_framed = not (is_monitor or odometry.frame == "continuous")
+        self.frame = AutopilotFrame(family if is_framed else Family.UNKNOWN)
+        """The local frame that ODOMETRY is expressed in."""
+        self._follower = Follower(imu_lag(config, family), has_mean_samples(config, family))
+        self._add = self._follower.samples.append
         self.stream = (
             None
             if is_monitor
             else OdometryStream(
-                odometry,
-                family,
-                StepMeter(imu_lag(config, family), is_mean=has_mean_samples(config, family)),
-                is_relative=self._is_relative,
+                odometry, family, self._follower, self.frame, is_relative=self._is_relative
             )
         )
         """Which estimates are sent as ODOMETRY; None: each as it is."""
-        is_follower = self.stream is not None and not self.stream.is_continuous
-        self.frame = AutopilotFrame(family if is_follower else Family.UNKNOWN)
-        """The local frame that ODOMETRY is expressed in."""
         self._look = Due(_LOOKS)
         self._pause = _NO_PAUSE
         """From which stamp until which nothing is due."""
         self._was_invalid = False
-        self._origin: tuple[float, float, float] | None = None
-        self._base: Place | None = None
-        """The autopilot's origin that what is sent counts from; None: ours."""
-        self._datum = 0.0
-        """What the autopilot's altitudes were above ours when the origin was told last, m."""
+        self._origin: Place | None = None
+        """Of the estimate that a monitor was sent last."""
         self._offset = NO_OFFSET
 
     @property
@@ -202,69 +197,70 @@ class Publisher:
     def due(self, estimate: Estimate) -> list[Message]:
         """Return the messages that are due at the stamp of an estimate."""
         messages: list[Message] = []
-        t_ns, due = estimate.t_ns, self._due
-        if self.stream is not None and estimate.sample is not None:
-            self.stream.add(estimate.sample)
+        t_ns, ours, stream = estimate.t_ns, self.label, self.stream
+        if stream is not None and estimate.sample is not None:
+            self._add(estimate.sample)
         if self._pause[0] <= t_ns < self._pause[1]:
             return messages
         odometry = self._due_odometry(estimate)
-        if due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := estimate.origin) is not None:
-            self._datum = self.frame.datum
+        others = [
+            name
+            for name, one in self._due.items()
+            if not one.pause[0] <= t_ns < one.pause[1] and name != "ODOMETRY" and one.is_due(t_ns)
+        ]
+        # A new origin goes before the first ODOMETRY that counts from it, and so does an offset
+        if "GPS_GLOBAL_ORIGIN" in others and (origin := estimate.origin) is not None:
+            self.frame.told_datum = self.frame.datum
             payload = encode.gps_global_origin(*self.frame.counts_from(origin), t_ns=t_ns)
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
-        is_due = due[_OFFSET].is_due(t_ns)
-        if is_due and self.stream is not None and self.stream.is_continuous:
-            messages.append(Message(_OFFSET, encode.global_offset(t_ns, *self.stream.offset)))
+        if _OFFSET in others and stream is not None and stream.is_continuous:
+            messages.append(Message(_OFFSET, encode.global_offset(t_ns, *stream.offset)))
         if odometry is not None:
-            ours = self.label
-            if ours.velocity is Frame.LOCAL_NED:
-                odometry = local_velocity(odometry)
             payload = encode.odometry(
                 odometry, frame=ours.frame, velocity=ours.velocity, estimator=ours.estimator
             )
             messages.append(Message("ODOMETRY", payload, is_replaceable=True))
-        if due["ESTIMATOR_STATUS"].is_due(t_ns) and estimate.origin is not None:
+        if "ESTIMATOR_STATUS" in others and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
-        begins, ends = zip(self._look.pause, *(one.pause for one in due.values()), strict=True)
-        self._pause = max(begins), min(ends)
+        pauses = [self._look.pause, *[one.pause for one in self._due.values()]]
+        self._pause = max([begin for begin, _ in pauses]), min([end for _, end in pauses])
         return messages
 
     def _due_odometry(self, estimate: Estimate) -> Odometry | None:
         """Return the ODOMETRY that is due; where its frame has moved, so is the message on that."""
         stream, due, t_ns = self.stream, self._due, estimate.t_ns
         is_due, is_look = due["ODOMETRY"].is_due(t_ns), self._look.is_due(t_ns)
-        if stream is not None and (is_due or is_look):
-            stream.look(estimate)
         if not is_due:
+            if is_look and stream is not None:
+                stream.look(estimate)
             return None
-
-        # A new origin goes before the first ODOMETRY that counts from it, and so does an offset
-        last, self._origin = self._origin, estimate.origin
-        was, self._base = self._base, self.frame.origin
-        has_shifted = abs(self.frame.datum - self._datum) > _SHIFT
-        if self._origin not in (None, last) or was != self._base or has_shifted:
-            self._datum = self.frame.datum
-            due["GPS_GLOBAL_ORIGIN"].request()
-            if stream is not None and was != self._base and last is not None:
-                stream.move(self.frame.distance(was or last))
         climb_factor = max(1.0, 2.0 * self._climb_time * due["ODOMETRY"].rate)
+        is_local = self.label.velocity is Frame.LOCAL_NED
         if stream is None:
-            odometry = self._once_invalid(estimate.odometry)
-            return odometry and state_covariance(odometry, self._is_relative, climb_factor)
-        odometry = stream.send(estimate, climb_factor)
-        odometry = odometry and self.frame.express(odometry, estimate.origin)
+            return self._as_it_is(estimate, climb_factor, is_local)
+        odometry = stream.send(estimate, climb_factor, is_local=is_local)
+        if stream.has_new_origin:
+            stream.has_new_origin = False
+            due["GPS_GLOBAL_ORIGIN"].request()
         if stream.offset != self._offset:
             self._offset = stream.offset
             due[_OFFSET].request()
         return odometry
 
-    def _once_invalid(self, odometry: Odometry | None) -> Odometry | None:
-        """Return an estimate as it is, an invalid one once."""
-        if odometry is None:
+    def _as_it_is(self, estimate: Estimate, climb: float, is_local: bool) -> Odometry | None:
+        """Return an estimate as a monitor is sent it, an invalid one once."""
+        last, self._origin = self._origin, estimate.origin
+        if self._origin not in (None, last):
+            self._due["GPS_GLOBAL_ORIGIN"].request()
+        if (odometry := estimate.odometry) is None:
             return None
         was_invalid, self._was_invalid = self._was_invalid, odometry.quality < 0
-        return None if was_invalid and self._was_invalid else odometry
+        if was_invalid and self._was_invalid:
+            return None
+        relative = odometry.relative if self._is_relative else None
+        self._follower.look(odometry.t_ns, odometry.numbers, (0.0, 0.0, 0.0), relative)
+        return odometry._replace(numbers=self._follower.express(climb, 1.0, is_local))
 
 
 def _estimator_status(health: Health, t_ns: int) -> bytes:

@@ -13,20 +13,14 @@ libraries/AC_AttitudeControl/AC_PosControl.cpp.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ekf_companion.config.service import OdometryConfig
+from ekf_companion.core.output.follower import NUMBERS, POSITION_LIMITS, Follower
+from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
 from ekf_companion.engine.pipeline import QUALITY, Estimate
-from ekf_companion.engine.residual import (
-    Offset,
-    Residual,
-    scale_errors,
-    state_covariance,
-    std_attitude,
-    std_ground_speed,
-    stds,
-)
-from ekf_companion.engine.step import POSITION, JumpDetector, Pose, Step, StepMeter, to_pose
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
@@ -54,6 +48,8 @@ FARTHEST = float(2**17)
 """m; further from the origin float32 has steps of more than a centimetre: 1/64 m."""
 BEYOND = "too far from the origin for a float32 to carry centimetres"
 WAITING = "waiting for the first fix"
+_SHIFT = 0.1
+"""m; a datum of height that has moved further is told before the next ODOMETRY."""
 _BEST, _GOOD = QUALITY[Status.OK], QUALITY[Status.DEGRADED]
 _FAILED = QUALITY[Status.INVALID]
 
@@ -77,11 +73,24 @@ only, and ArduPilot's controller moves its targets along; velocity and yaw it re
 gates."""
 
 
+class Offset(NamedTuple):
+    """Where a continuous frame c lies in n: ``pos_n = R(yaw) pos_c + shift``."""
+
+    shift: tuple[float, float, float]
+    """n, m."""
+    yaw: float
+    """About down, rad."""
+
+
+NO_OFFSET = Offset((0.0, 0.0, 0.0), 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Jump:
     """A step that no receiver would take for motion."""
 
-    step: Step
+    sizes: tuple[float, float, float]
+    """Distance (m), speed (m/s) and angle (rad)."""
     is_told: bool
     """Whether the reset counter has moved; else it was kept from the receiver."""
 
@@ -93,14 +102,32 @@ class OdometryStream:
         self,
         config: OdometryConfig,
         family: Family,
-        meter: StepMeter,
+        follower: Follower,
+        frame: AutopilotFrame | None = None,
         *,
         is_relative: bool = False,
     ) -> None:
-        """Begin with nothing sent; the covariance may leave out the receiver's slow error."""
+        """Begin with nothing sent.
+
+        Args:
+            config: Its limits, and what is told of jumps.
+            family: The receiver's.
+            follower: What the receiver sees; each inertial sample is appended to its ``samples``.
+            frame: The local frame to express positions in; None: that of the estimates.
+            is_relative: Whether the covariance leaves out the slow error of the receiver of GNSS.
+        """
         self._family, self._is_relative = family, is_relative
-        self._meter, self._detector, self._residual = meter, JumpDetector(), Residual()
-        self._looked: tuple[Odometry, Pose] | None = None
+        self._follower, self._frame = follower, frame or AutopilotFrame(Family.UNKNOWN)
+        self._looked: Odometry | None = None
+        self._own: Place | None = None
+        """The origin of the estimate that was sent last."""
+        self._base: Place | None = None
+        """The autopilot's origin that what is sent counts from; None: ours."""
+        self._frame_changes = 0
+        self.has_new_origin = False
+        """Whether it counts from another place than was told; whoever tells it clears this."""
+        self.offset = NO_OFFSET
+        """Where the frame of what is sent lies in that of the estimates."""
         self._count = 0
         """Resets told so far."""
         self._is_told = False
@@ -144,65 +171,54 @@ class OdometryStream:
         """How often the counter has moved."""
         return self._count
 
-    @property
-    def offset(self) -> Offset:
-        """Where the frame of what is sent lies in that of the estimates."""
-        return self._residual.offset
-
     def on_restart(self, lost: float) -> None:
         """Wait for the first fix as long as the follower holds out that heard nothing for s."""
         left_ns = HOLDS_OUT_NS.get(self._family, WAIT_NS) - round(lost * SECOND_NS) - _RESERVE_NS
         self._wait_ns = max(left_ns, LEAST_WAIT_NS)
 
-    def add(self, sample: tuple[float, ...]) -> None:
-        """Add the inertial sample of an estimate; to be called for each."""
-        self._meter.add(sample)
-
-    def move(self, distance: float) -> None:
-        """Count from a place that is so far from the last, m: a jump moves the counter."""
-        self._is_told |= distance > POSITION.least
-
-    def look(self, estimate: Estimate) -> None:
+    def look(self, estimate: Estimate) -> Odometry | None:
         """Look at an estimate: 30 times a second or more, whether it is sent or not."""
-        odometry = estimate.odometry
+        odometry, follower, last = estimate.odometry, self._follower, self._looked
+        self._looked = odometry
         if odometry is None:
-            self._meter.forget()
-            self._looked, self._is_begun, self.silence = None, False, ""
-            return
-        odometry = state_covariance(odometry, self._is_relative)
-        pose = to_pose(odometry)
-        step = self._meter.measure(pose)
-        resets, last = odometry.reset_count, self._looked
+            follower.forget()
+            self._is_begun, self.silence = False, ""
+            return None
+        stated = (0.0, 0.0, 0.0)
+        if last is not None and last.quality >= _GOOD:
+            position = follower.std_position if last.quality == _BEST else 0.0
+            stated = position, follower.std_velocity, follower.std_yaw
+        relative = odometry.relative if self._is_relative else None
+        has_step = follower.look(odometry.t_ns, odometry.numbers, stated, relative)
         # A reset of the filter is told even if it moved nothing much, and so is a return
-        self._is_told |= last is None or (resets != self._resets and self._policy.position)
-        self._looked, self._resets = (odometry, pose), resets
-        if step is not None:
-            assert last is not None
-            self._is_begun &= step.dt * 1e9 < BROKEN_NS
-            self._residual.decay(step.dt)
-            self._is_told |= self._take_step(step, pose, _stated(last[0]))
+        is_reset, self._resets = odometry.reset_count != self._resets, odometry.reset_count
+        self._is_told |= last is None or (is_reset and self._policy.position)
+        if has_step:
+            self._is_begun &= follower.step[0] * 1e9 < BROKEN_NS
+            if True in follower.jumps:
+                self._is_told |= self._take_jump(*follower.jumps)
+        return odometry
 
-    def _take_step(self, step: Step, pose: Pose, stated: tuple[float, float, float]) -> bool:
+    def _take_jump(self, position: bool, velocity: bool, yaw: bool) -> bool:
         """Keep a jump from the receiver in the parts that are not told; return whether one is."""
-        position, velocity, yaw = self._detector.judge(step, stated)
-        if not (position or velocity or yaw):
-            return False
-        policy = self._policy
+        policy, follower = self._policy, self._follower
         is_told = (position and policy.position) or (velocity and policy.velocity)
         is_told |= yaw and policy.yaw
         if self.is_continuous:
-            self._residual.spread(step, position=False, velocity=velocity, yaw=False)
+            follower.spread(False, velocity, False)
             if position or yaw:
-                self._residual.move_frame(step, pose)
+                follower.move_frame()
+                *shift, angle = follower.offset
+                self.offset = Offset((shift[0], shift[1], shift[2]), angle)
         else:
-            self._residual.spread(
-                step,
-                position=position and not policy.position,
-                velocity=velocity and not policy.velocity,
-                yaw=yaw and not policy.yaw,
+            follower.spread(
+                position and not policy.position,
+                velocity and not policy.velocity,
+                yaw and not policy.yaw,
             )
         if self._sent_ns is not None:
-            self.jump = Jump(step, is_told)
+            _, x, y, z, vx, vy, vz, angle = follower.step
+            self.jump = Jump((math.hypot(x, y, z), math.hypot(vx, vy, vz), abs(angle)), is_told)
             self.jumps += 1
         return is_told
 
@@ -215,84 +231,107 @@ class OdometryStream:
             estimate.add_resets(self._count - self._resets)
             self._resets = self._count
 
-    def send(self, estimate: Estimate, climb_factor: float = 1.0) -> Odometry | None:
-        """Return what is sent of the estimate that was looked at last; None: nothing.
+    def send(
+        self, estimate: Estimate, climb_factor: float = 1.0, *, is_local: bool = False
+    ) -> Odometry | None:
+        """Look at an estimate, and return what is sent of it; None: nothing.
 
-        Where a stream ends, its last message has the quality of a failure. ``climb_factor``
-        multiplies the variance of the velocity down.
+        Where a stream ends, its last message has the quality of a failure.
+
+        Args:
+            estimate: The newest.
+            climb_factor: Multiplies the variance of the velocity down.
+            is_local: Whether the velocity is to be along the local axes, not those of b.
         """
-        if self._looked is None:
+        odometry = self.look(estimate)
+        own = estimate.origin if odometry is None else odometry.origin
+        if own != self._own or self._frame.changes != self._frame_changes:
+            self._count_from(own)
+        if odometry is None:
             return None
-        odometry, pose = self._looked
-        was_begun, was_silent = self._is_begun, bool(self.silence)
-        self.silence = self._reason(estimate, odometry)
+        was_begun, was_silent, quality = self._is_begun, bool(self.silence), odometry.quality
+        follower = self._follower
+        is_usual = was_begun and self._is_oriented and quality >= _GOOD
+        is_usual = is_usual and follower.std_attitude <= LOST_ATTITUDE
+        if not is_usual or max(map(abs, follower.pos_n)) > FARTHEST:
+            self.silence = self._reason(estimate, odometry)
         if self.silence:
             self._is_begun = False
             if not was_begun or self.silence == BEYOND:
                 return None
-            odometry = odometry._replace(quality=_FAILED)
+            quality = _FAILED
         else:
             if self._sent_ns is None:
                 # Whatever was corrected before, nobody has seen
-                self._count, self._is_told, self._residual = self._resets, False, Residual()
+                self._count, self._is_told, self.offset = self._resets, False, NO_OFFSET
+                follower.clear(True)
             elif was_silent:
                 self._end_silence(estimate.t_ns - self._sent_ns)
             if self._is_told:
                 self._tell(estimate)
             self._is_begun, self._is_told = True, False
             self._since_ns, self._sent_ns = None, estimate.t_ns
-        odometry = state_covariance(odometry, climb_factor=climb_factor)
-        self._unaided = self._unaided + 1 if odometry.quality < _GOOD else 0
-        if self._unaided > 1:
-            # They share one error: together they say no more than the first of them alone
-            odometry = scale_errors(odometry, float(self._unaided))
-        return self._residual.apply(odometry, pose)._replace(reset_count=self._count)
+        # Without an aid they share one error: together they say no more than the first of them
+        self._unaided = self._unaided + 1 if quality < _GOOD else 0
+        numbers = follower.express(climb_factor, max(self._unaided, 1), is_local)
+        return Odometry(odometry.t_ns, numbers, self._count, quality)
+
+    def _count_from(self, own: Place | None) -> None:
+        """Count from another place; where that is a jump, the counter moves."""
+        frame = self._frame
+        last, self._own = self._own, own
+        was, self._base = self._base, frame.origin
+        self._frame_changes = frame.changes
+        self._follower.place = frame.place(own)
+        has_shifted = abs(frame.datum - frame.told_datum) > _SHIFT
+        if own not in (None, last) or was != self._base or has_shifted:
+            frame.told_datum, self.has_new_origin = frame.datum, True
+            if was != self._base and last is not None:
+                self._is_told |= frame.distance(was or last) > POSITION_LIMITS[0]
 
     def _end_silence(self, span_ns: int) -> None:
         """Drop what was to be spread and move the counter: whoever ended its fusion begins anew."""
         if span_ns <= BROKEN_NS or self.is_continuous:
             return
-        self._is_told |= self._policy == SPREAD or self._residual.is_any
-        self._residual.clear()
+        self._is_told |= self._policy == SPREAD or self._follower.is_spreading
+        self._follower.clear(False)
 
     def _reason(self, estimate: Estimate, odometry: Odometry) -> str:
         """Return why an estimate is not worth to be sent; empty: it is."""
-        config = self._config
+        config, follower = self._config, self._follower
         if odometry.quality < 0:
             return "the estimate is invalid"
-        assert self._looked is not None
-        if max(map(abs, self._looked[1].pos_n)) > FARTHEST:
+        if max(map(abs, follower.pos_n)) > FARTHEST:
             return BEYOND
         # After a restart it is sent as it is: a longer silence would end the autopilot's flight
-        is_lost = std_attitude(odometry) > LOST_ATTITUDE
+        is_lost = follower.std_attitude > LOST_ATTITUDE
         if is_lost and self._is_oriented:
             return "the attitude is being found again"
         self._is_oriented |= not is_lost
         is_good = odometry.quality >= _GOOD
-        if not self._is_begun and self._is_waiting(estimate, odometry, is_good):
+        if not self._is_begun and self._is_waiting(estimate, is_good):
             return WAITING
         if is_good:
             return ""
         if estimate.unaided_s > config.dead_reckoning_time:
             return f"dead reckoning over {config.dead_reckoning_time:g} s"
         # By all of the error over ground, whatever of it is told
-        if stds(estimate.odometry or odometry)[0] > config.dead_reckoning_std:
+        if std_horizontal(odometry) > config.dead_reckoning_std:
             return f"dead reckoning beyond {config.dead_reckoning_std:g} m"
         return ""
 
-    def _is_waiting(self, estimate: Estimate, odometry: Odometry, is_good: bool) -> bool:
+    def _is_waiting(self, estimate: Estimate, is_good: bool) -> bool:
         """Whether a fix that is still to come would make the first message much better."""
         if self._since_ns is None or estimate.t_ns < self._since_ns:
             self._since_ns = estimate.t_ns
         if estimate.t_ns - self._since_ns >= self._wait_ns:
             return False
-        is_rough = std_ground_speed(odometry) > ROUGH_VELOCITY
+        is_rough = self._follower.std_ground_speed() > ROUGH_VELOCITY
         return not is_good or estimate.is_reset_due or is_rough
 
 
-def _stated(odometry: Odometry) -> tuple[float, float, float]:
-    """Return one sigma of position, velocity and yaw, 0 of what lacked its aid."""
-    if odometry.quality < _GOOD:
-        return 0.0, 0.0, 0.0
-    position, velocity, yaw = stds(odometry)
-    return position if odometry.quality == _BEST else 0.0, velocity, yaw
+def std_horizontal(odometry: Odometry) -> float:
+    """Return one sigma of the horizontal position, m; infinite if it is not known."""
+    numbers = NUMBERS.unpack(odometry.numbers)
+    is_known = math.isfinite(numbers[13]) and math.isfinite(numbers[34])
+    return math.sqrt(numbers[13] + numbers[19]) if is_known else math.inf

@@ -80,10 +80,13 @@ class AutopilotEstimate(Service):
     def __init__(self) -> None:
         self._last: dict[int, tuple[Frame, int]] = {}
         """By message id; with when it came, ns."""
+        self.changes = 0
+        """Moves with what is kept."""
 
     def begin(self, peer: PeerFound) -> None:
         """Forget what another autopilot has said, or this one before it rebooted."""
         self._last.clear()
+        self.changes += 1
 
     def keep(self, frame: Frame, now_ns: int) -> None:
         """Keep a frame whose id is in ``KEPT``; one with the stamp of the last is none anew."""
@@ -91,6 +94,7 @@ class AutopilotEstimate(Service):
         is_unstamped = frame.message_id == IDS["GPS_GLOBAL_ORIGIN"]
         if last is None or is_unstamped or frame.payload[_STAMP] != last[0].payload[_STAMP]:
             self._last[frame.message_id] = frame, now_ns
+            self.changes += 1
 
     def frame(self, number: int) -> Frame | None:
         """Return the newest frame of a message that is kept, by its id; None: none came."""

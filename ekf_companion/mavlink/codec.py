@@ -66,25 +66,26 @@ class Sender:
         self.sequence = 0
         """Of the next frame."""
 
-    def frame(self, name: str, payload: bytes, now_ns: int = 0) -> bytes:
-        """Return the next frame of a message, by its name and payload, signed where there is a key.
+    def frame(self, name: str, payload: bytes, now_ns: int = 0, *, is_draft: bool = False) -> bytes:
+        """Return the next frame of a message, by its name and payload.
 
-        ``now_ns`` is unix time, ns, for the signature.
+        Zeros at the payload's end are left out.
+
+        Args:
+            name: The message's.
+            payload: In full size.
+            now_ns: Unix time, ns, for the signature, where there is a key.
+            is_draft: Without a signature, and with the number that the next frame has too.
         """
-        flags = 0 if self._signing is None else SIGNED
-        data = self.draft(name, payload, flags)
-        self.sequence = (self.sequence + 1) & 0xFF
-        return data if self._signing is None else self._signing.sign(data, now_ns)
-
-    def draft(self, name: str, payload: bytes, flags: int = 0) -> bytes:
-        """Return a frame without a signature, whose number is also the next one's.
-
-        Zeros at the payload's end are left out. ``flags`` are those of incompatibility.
-        """
+        is_signed = self._signing is not None and not is_draft
         payload, number = payload.rstrip(b"\0") or b"\0", IDS[name]
         ids = self.sequence, self.system_id, self.component_id, number & 0xFFFF, number >> 16
-        body = _HEADER.pack(len(payload), flags, 0, *ids) + payload
-        return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[number]))
+        body = _HEADER.pack(len(payload), SIGNED if is_signed else 0, 0, *ids) + payload
+        data = b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[number]))
+        if is_draft:
+            return data
+        self.sequence = (self.sequence + 1) & 0xFF
+        return data if self._signing is None else self._signing.sign(data, now_ns)
 
     def message(self, name: str, **fields: Any) -> bytes:
         """Return the next frame of a message, from its fields."""

@@ -57,8 +57,6 @@ _ASKS = 3
 """Without an answer to so many, the parameter counts as 0."""
 _KEPT = 64
 """Requests of the time whose answers are known, however late."""
-_WATCH_NS, _SLOW_WATCH_NS = SECOND_NS // 10, SECOND_NS // 5
-"""Between two requests of the time; on a slow line they are to take no more than 150 bytes/s."""
 
 
 class Delivery(Service):
@@ -95,6 +93,7 @@ class Delivery(Service):
         """Requests of the time that may be answered yet, by when they left."""
         self._unanswered = 0
         """Of them, those since the last answer."""
+        self._note_oldest()
         self._late = 0
         self._is_constant = False
         """Whether it is held as a constant delay is not set."""
@@ -108,26 +107,20 @@ class Delivery(Service):
         """Forget what was measured: nobody answers."""
         self.begin(PeerFound(0, 0, Family.UNKNOWN))
 
-    def takes(self, now_ns: int) -> bool:
-        """Return whether the line takes the next ODOMETRY."""
-        return self.pacing.takes(now_ns, self._waits_ns(now_ns), self._watch_ns)
-
-    def _waits_ns(self, now_ns: int) -> int:
-        """Return for how long the oldest request since the last answer is open; 0: none is."""
-        if not self._unanswered:
-            return 0
-        return now_ns - self._open[-min(self._unanswered, len(self._open))]
-
-    @property
-    def _watch_ns(self) -> int:
-        return _WATCH_NS if self.pacing.every == 1 else _SLOW_WATCH_NS
-
     # What the answers tell
 
     def _on_request(self, ts1: int) -> None:
         """Note a request of ours, by the time of ours that it bears."""
         self._open.append(ts1)
         self._unanswered += 1
+        self._note_oldest()
+
+    def _note_oldest(self) -> None:
+        """Note when the oldest request left that is open since the last answer."""
+        is_open = self._unanswered > 0
+        self.pacing.asked_ns = (
+            self._open[-min(self._unanswered, len(self._open))] if is_open else None
+        )
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
         if message.tc1 == 0 or message.ts1 not in self._open or now_ns < message.ts1:
@@ -136,6 +129,7 @@ class Delivery(Service):
         while self._open.popleft() != message.ts1:
             pass
         self._unanswered = len(self._open)
+        self._note_oldest()
         self.lag.add(now_ns, message.ts1, message.tc1)
         self._judge_answer(now_ns)
         self.pacing.on_answer(now_ns)
@@ -185,7 +179,9 @@ class Delivery(Service):
 
     def tick(self, now_ns: int) -> None:
         """Notice that no answer comes, or that a constant delay is not set."""
-        self._timesync.watch_ns = self._watch_ns if self._guard.decision.is_streaming else None
+        self._timesync.watch_ns = (
+            self.pacing.watch_ns if self._guard.decision.is_streaming else None
+        )
         if not self._is_harmful:
             self.hold, self._is_constant = None, False
             return
@@ -196,7 +192,8 @@ class Delivery(Service):
     def _notice_silence(self, now_ns: int) -> None:
         """Hold where an autopilot that has answered no longer does."""
         last = self.lag.answered_ns
-        waits_ns = self._waits_ns(now_ns)
+        asked_ns = self.pacing.asked_ns
+        waits_ns = 0 if asked_ns is None else now_ns - asked_ns
         if self._late and waits_ns > LATE_NS and self._is_free:
             self._hold_late(max(waits_ns, self.lag.last_ns) * 1e-9, now_ns)
         if last is None or self._unanswered < _UNANSWERED or now_ns - last <= _SILENT_NS:

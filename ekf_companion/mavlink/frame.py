@@ -62,11 +62,6 @@ _header = Struct("<xBBxBBBHB").unpack_from
 _crc = crc16.mcrf4xx
 
 
-def checksum(body: bytes, message_id: int) -> int:
-    """Return the checksum of a frame of a known message, from its bytes behind the first."""
-    return int(_crc(body + CRC_EXTRAS[message_id]))
-
-
 class Frame(NamedTuple):
     """One message as it was on the wire, or (id ``JUNK``) bytes that are no message.
 
@@ -137,7 +132,8 @@ class Splitter:
         self.junk_bytes = 0
         """Bytes that belonged to no frame."""
         self._rest = b""
-        self._is_framed = True  # whether a frame should begin where the rest does
+        self.is_framed = True
+        """Whether a frame should begin where what waits ends."""
         self.sender: Hashable = None
         """Whose stream was cut last."""
         self._others: dict[Hashable, tuple[bytes, bool]] = {}  # of those who do not speak now
@@ -150,7 +146,7 @@ class Splitter:
     def pass_over(self, count: int) -> None:
         """Count whole frames of known messages that did not come by here, and nothing waits."""
         self.frames += count
-        self._is_framed = True
+        self.is_framed = True
 
     def feed(self, data: bytes, sender: Hashable = None) -> list[Frame]:
         """Return the frames that the bytes complete, and junk, in order; every byte comes out once.
@@ -178,12 +174,12 @@ class Splitter:
             else:
                 match = _START.search(buffer, start)
                 start = match.start() if match else end
-                self._is_framed = False
+                self.is_framed = False
                 continue
 
             tail = start + header + size
             if (extra := CRC_EXTRAS.get(message_id)) is None:
-                if self._is_framed and flags <= SIGNED:
+                if self.is_framed and flags <= SIGNED:
                     if (
                         is_whole := _is_followed(buffer, start + total, (system, component))
                     ) is None:
@@ -195,7 +191,7 @@ class Splitter:
                         self.unknown_id += 1
                         start = junk = start + total
                         continue
-                self._is_framed = False
+                self.is_framed = False
                 # Only a frame of known id matters now, or one whose id is not here yet
                 match = _KNOWN_START.search(buffer, start + 1)
                 start = max(start + 1, min(match.start() if match else end, end - 9))
@@ -204,7 +200,7 @@ class Splitter:
                 break
             if _crc(buffer[start + 1 : tail] + extra) != buffer[tail] | buffer[tail + 1] << 8:
                 self.bad_crc += 1
-                self._is_framed = False
+                self.is_framed = False
                 start += 1
                 continue
             if flags > SIGNED:
@@ -219,7 +215,7 @@ class Splitter:
             found.append(Frame(message_id, system, component, number, payload, raw, version))
             self.frames += 1
             start = junk = start + total
-            self._is_framed = True
+            self.is_framed = True
 
         if junk < start:
             found.append(self._junk(buffer, junk, start))
@@ -228,10 +224,10 @@ class Splitter:
 
     def _switch_to(self, sender: Hashable) -> None:
         """Set one sender's stream aside and resume another's, so that neither cuts the other."""
-        if self._rest or not self._is_framed:
-            self._others[self.sender] = (self._rest, self._is_framed)
+        if self._rest or not self.is_framed:
+            self._others[self.sender] = (self._rest, self.is_framed)
         self.sender = sender
-        self._rest, self._is_framed = self._others.pop(sender, (b"", True))
+        self._rest, self.is_framed = self._others.pop(sender, (b"", True))
         if len(self._others) > SENDERS:
             rest, _ = self._others.pop(next(iter(self._others)))
             self.junk_bytes += len(rest)

@@ -38,6 +38,8 @@ class Lag:
         """Least round trip, and least time of the autopilot's clock after ours, of this span and of
         the one before."""
         self._span_end_ns = 0
+        self.fastest_ns: int | None = None
+        """The shortest round trip of late; None: no answer has come."""
 
     def add(self, now_ns: int, ts1: int, tc1: int) -> None:
         """Note an answer: when it came, when it was asked, and when that was read, its clock."""
@@ -51,17 +53,12 @@ class Lag:
         )
         known = [one for one in self._least if one is not None]
         fastest, earliest = (min(column) for column in zip(*known, strict=True))
-        self.answered_ns, self.last_ns = now_ns, rtt
+        self.answered_ns, self.last_ns, self.fastest_ns = now_ns, rtt, fastest
         # A clock that runs slower, or has jumped, shows in the one and not in the other
         self.queue_ns = min(rtt - fastest, there - earliest)
         self._recent.append((now_ns, rtt))
         while now_ns - self._recent[0][0] > _WINDOW_NS:
             self._recent.popleft()
-
-    @property
-    def fastest_ns(self) -> int | None:
-        """The shortest round trip of late; None: no answer has come."""
-        return min((one[0] for one in self._least if one is not None), default=None)
 
     @property
     def is_few(self) -> bool:
@@ -70,7 +67,7 @@ class Lag:
 
     def rebase(self) -> None:
         """Forget the fastest: the way is another one."""
-        self._least = [None, None]
+        self._least, self.fastest_ns = [None, None], None
 
     def typical(self, now_ns: int) -> tuple[float, float]:
         """Return median and spread (from a tenth to nine tenths) of ten seconds, s; or NaN."""

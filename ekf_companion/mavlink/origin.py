@@ -103,8 +103,11 @@ class OriginSetter(Service):
         """Whether it has said, since, how high it takes the vehicle to be."""
         self._tries = 0
         self._found_ns: int | None = None
-        self._last_ns: int | None = None
+        self.sent_ns: int | None = None
         """When ODOMETRY was sent last."""
+        self.is_settled = False
+        """Whether nothing holds ODOMETRY and nothing will, until the autopilot or we count from
+        another place: then there is no need to ask before each."""
         self._given_ns: int | None = None
 
     @property
@@ -125,12 +128,13 @@ class OriginSetter(Service):
     def note(self, payload: bytes) -> None:
         """Learn the origin of our frame from the GPS_GLOBAL_ORIGIN that tells it."""
         self._ours = _PLACE.unpack(payload[: _PLACE.size].ljust(_PLACE.size, b"\0"))
+        self.is_settled = False
 
     def on_odometry(self, now_ns: int) -> None:
         """Learn that ODOMETRY is about to be sent; it may have to wait."""
         self.tick(now_ns)
         if self.hold is None:
-            self._last_ns = now_ns
+            self.sent_ns = now_ns
 
     def tick(self, now_ns: int) -> None:
         """Let ODOMETRY wait where an origin is missing; give it as soon as nothing is fused."""
@@ -145,6 +149,16 @@ class OriginSetter(Service):
             self._wait_for_theirs(now_ns, waited_ns)
         else:
             self._wait_for_px4(now_ns, waited_ns)
+        self.is_settled = self.is_shown and self._is_counted_from()
+
+    def _is_counted_from(self) -> bool:
+        """Return whether the autopilot's origin, as far as it must be known, can be counted from.
+
+        PX4 keeps the offset to ours by itself.
+        """
+        if self._peer is None or self._peer.family is not Family.ARDUPILOT:
+            return self._peer is not None
+        return self.theirs is not None and self._has_height and self._distant() is None
 
     def _wait_for_theirs(self, now_ns: int, waited_ns: int) -> None:
         """Wait until an ArduPilot has told its origin; give it ours where it will find none."""
@@ -193,7 +207,7 @@ class OriginSetter(Service):
             self.hold = _WAITING if now_ns - given_ns < _TAKING_NS else None
             return
         self.hold = _WAITING if self._tries < _TRIES else None
-        was_fused = self._last_ns is not None and now_ns - self._last_ns < _QUIET_NS
+        was_fused = self.sent_ns is not None and now_ns - self.sent_ns < _QUIET_NS
         if self.hold is not None and not was_fused and waited_ns >= _LISTEN_NS:
             self._give(now_ns, altitude=0)
 
@@ -216,7 +230,7 @@ class OriginSetter(Service):
             return
         self._show()
         if told != self.theirs:
-            self.theirs = told
+            self.theirs, self.is_settled = told, False
             lat, lon = (math.radians(angle * 1e-7) for angle in told[:2])
             self._emit(OriginTold(lat, lon, told[2] * 1e-3))
 

@@ -66,13 +66,14 @@ class Outbox:
         frame = self._sender.frame(name, payload, now_ns)
         self.sent[name] += 1
         self._out.append(Outgoing(frame, is_replaceable, t_ns))
-        self.record(frame, now_ns)
+        if self._is_recording:
+            self.record(frame, now_ns)
 
     def withhold(self, name: str, payload: bytes, now_ns: int) -> None:
         """Only record a message, with the sequence number of the next that is sent."""
         self.withheld[name] += 1
         if self._is_recording:
-            self.record(self._sender.draft(name, payload), now_ns)
+            self.record(self._sender.frame(name, payload, is_draft=True), now_ns)
 
     def record(self, raw: bytes, now_ns: int) -> None:
         """Record what went in or out, if anybody wants a record."""

@@ -43,6 +43,8 @@ _LONGEST_TRY_NS = 160 * SECOND_NS
 """Until a higher rate is tried; doubled each time that it fails."""
 _STUCK_NS = 4 * SECOND_NS
 """A queue that the lowest rate has not shortened by then is none: the way has become longer."""
+_WATCH_NS, _SLOW_WATCH_NS = SECOND_NS // 10, SECOND_NS // 5
+"""Between two requests of the time; on a slow line they are to take no more than 150 bytes/s."""
 _BUSY_NS = SECOND_NS // 20
 """A request that waits longer than the fastest, by more than this and the pause between two, stands
 in a queue. A single one that is lost looks no longer than that pause."""
@@ -59,6 +61,8 @@ class Pacing:
         """Of a line whose rate is known, bytes/s."""
         self.is_signed = False
         """Whether what we send is signed."""
+        self.asked_ns: int | None = None
+        """When the time was asked first since the last answer; None: no question is open."""
         self._lag, self._emit = lag, emit
         self._count = self._sent_ns = 0
         self._published: deque[int] = deque(maxlen=16)
@@ -70,24 +74,25 @@ class Pacing:
         self._try_ns = _TRY_NS
         self._is_trial = False
 
-    def takes(self, now_ns: int, waits_ns: int, pause_ns: int) -> bool:
-        """Return whether the next ODOMETRY is sent.
-
-        Args:
-            now_ns: Our clock.
-            waits_ns: For how long the oldest request since the last answer is open; 0: none is.
-            pause_ns: Between two requests.
-        """
+    def takes(self, now_ns: int) -> bool:
+        """Return whether the line takes the next ODOMETRY."""
+        lag, asked_ns, is_busy = self._lag, self.asked_ns, False
         self._published.append(now_ns)
         self._count += 1
-        self.every = max(self.every, self._least_every())
-        fastest = self._lag.fastest_ns
-        is_busy = fastest is not None and waits_ns - fastest > pause_ns + _BUSY_NS
-        is_full = self._lag.queue_ns > _FULL_NS and now_ns - self._sent_ns < _GAP_NS
+        if asked_ns is not None and lag.fastest_ns is not None:
+            is_busy = now_ns - asked_ns - lag.fastest_ns > self.watch_ns + _BUSY_NS
+        if self.capacity is not None:
+            self.every = max(self.every, self._least_every(self.capacity))
+        is_full = lag.queue_ns > _FULL_NS and now_ns - self._sent_ns < _GAP_NS
         if self._count < self.every or is_busy or is_full:
             return False
         self._count, self._sent_ns = 0, now_ns
         return True
+
+    @property
+    def watch_ns(self) -> int:
+        """Time between two requests of the time."""
+        return _WATCH_NS if self.every == 1 else _SLOW_WATCH_NS
 
     @property
     def rate(self) -> float:
@@ -97,12 +102,10 @@ class Pacing:
         span = (self._published[-1] - self._published[0]) * 1e-9
         return (len(self._published) - 1) / span if span > 0.0 else _USUAL
 
-    def _least_every(self) -> int:
-        """Return what a line of known rate asks for."""
-        if self.capacity is None:
-            return 1
+    def _least_every(self, capacity: float) -> int:
+        """Return what a line of a known rate, bytes/s, asks for."""
         size = _SIZE + (SIGNATURE_SIZE if self.is_signed else 0)
-        rate, room = self.rate, max(SHARE * self.capacity - _OTHERS, 1.0)
+        rate, room = self.rate, max(SHARE * capacity - _OTHERS, 1.0)
         fitting = [k for k in _LADDER if rate / k * size <= room and rate / k >= SLOWEST]
         return fitting[0] if fitting else self._most_every()
 
@@ -115,10 +118,11 @@ class Pacing:
         self._row.append((now_ns, queue))
         is_row = len(self._row) == _IN_A_ROW and now_ns - self._row[0][0] >= _ROW_NS
         least = min(one for _, one in self._row)
+        least_every = 1 if self.capacity is None else self._least_every(self.capacity)
         since = _LONGEST_TRY_NS if self._stepped_ns is None else now_ns - self._stepped_ns
         if is_row and least > _QUEUE_NS and since >= _STEP_NS:
             self._lower(now_ns, least)
-        elif self.every > self._least_every() and queue < _CALM_NS and since >= self._try_ns:
+        elif queue < _CALM_NS and since >= self._try_ns and self.every > least_every:
             self.every = max((k for k in _LADDER if k < self.every), default=1)
             self._stepped_ns, self._is_trial, self._stepped_queue = now_ns, True, 0
 

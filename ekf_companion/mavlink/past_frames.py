@@ -75,8 +75,10 @@ class PastFrames:
         """Whether somebody was told of a second path."""
         self.is_late = False
         """Whether the last frame was behind, and not heard before."""
-        self._waiting: deque[Frame | tuple[Frames, int, int]] = deque()
-        self._count = 0
+        self.waiting: deque[Frame | tuple[Frames, int, int]] = deque()
+        """What was heard and not looked through yet."""
+        self._more = 0
+        """Frames of the runs in it, but for one of each."""
         self._keys: dict[tuple[int, bytes], None] = {}
         self._newest: dict[int, int] = {}
         self._since_ns: int | None = None
@@ -84,23 +86,23 @@ class PastFrames:
 
     def forget(self) -> None:
         """Forget all: another autopilot speaks, or this one's clock began anew."""
-        self._waiting.clear()
+        self.waiting.clear()
         self._keys.clear()
         self._newest.clear()
-        self._count, self._since_ns = 0, None
+        self._more, self._since_ns = 0, None
 
     def keep(self, frame: Frame) -> None:
         """Keep a frame that was heard."""
-        self._waiting.append(frame)
-        self._count += 1
-        self._drop()
+        self.waiting.append(frame)
+        if len(self.waiting) + self._more > KEPT:
+            self.drop()
 
     def keep_run(self, frames: Frames, begin: int, end: int) -> None:
         """Keep frames of a recording that were read, from one on."""
         begin = max(begin, end - KEPT)
-        self._waiting.append((frames, begin, end))
-        self._count += end - begin
-        self._drop()
+        self.waiting.append((frames, begin, end))
+        self._more += end - begin - 1
+        self.drop()
 
     def is_behind(self, frame: Frame, clock: TimeBase) -> bool:
         """Return whether a frame may have been heard before, by its stamp."""
@@ -142,18 +144,18 @@ class PastFrames:
         """Whether frames have come again for longer than a burst lasts."""
         return self._since_ns is not None and self._until_ns - self._since_ns >= STEADY_NS
 
-    def _drop(self) -> None:
+    def drop(self) -> None:
         """Drop what is too old."""
-        while self._count > KEPT:
-            size = _size(self._waiting[0])
-            if self._count - size < KEPT:
+        while (count := len(self.waiting) + self._more) > KEPT:
+            size = _size(self.waiting[0])
+            if count - size < KEPT:
                 break
-            self._waiting.popleft()
-            self._count -= size
+            self.waiting.popleft()
+            self._more -= size - 1
 
     def _read(self) -> None:
         """Look through the frames that wait."""
-        for item in self._waiting:
+        for item in self.waiting:
             if isinstance(item, Frame):
                 self._add(item.message_id, item.payload)
                 continue
@@ -161,8 +163,8 @@ class PastFrames:
             for i in range(begin, end):
                 frame = frames.frame(i)
                 self._add(frame.message_id, frame.payload)
-        self._waiting.clear()
-        self._count = 0
+        self.waiting.clear()
+        self._more = 0
         if (excess := len(self._keys) - KEPT) > 0:
             for key in list(islice(self._keys, excess)):
                 del self._keys[key]

@@ -16,10 +16,11 @@ from collections.abc import Hashable
 import numpy as np
 import numpy.typing as npt
 from cython.cimports.ekf_companion.mavlink.payload import fill
+from fastcrc import crc16
 
 from ekf_companion.mavlink.autopilot_estimate import KEPT
 from ekf_companion.mavlink.decode.decoder import HELD
-from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNED, STX_2, Frames, checksum, parsed
+from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNED, STX_2, Frame, Frames, parsed
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS
 from ekf_companion.mavlink.payload import PayloadReader
 from ekf_companion.mavlink.session import Session
@@ -159,14 +160,18 @@ class Reader(PayloadReader):
         self.look_at(data)
         if not self.is_from(5, self.peer_system, self.peer_component):
             return None
-        if checksum(data[1 : size - 2], number) != data[size - 2] | data[size - 1] << 8:
+        if (
+            crc16.mcrf4xx(data[1 : size - 2] + CRC_EXTRAS[number])
+            != data[size - 2] | data[size - 1] << 8
+        ):
             return None
         if self.buffer is not self.own:
             self.use(self.own)
         self.n = 0
         if not self.read_frame(kind, 0, size, number, now_ns):
             return None
-        self.session.note_frame(parsed(number, data), now_ns)
+        parts = data[5], data[6], data[4], data[10 : size - 2]
+        self.session.note_frame(Frame(number, *parts, data, 2), now_ns)
         return self.take_rows()
 
     def may_wait(self, data: bytes, due_ns: int) -> bool:

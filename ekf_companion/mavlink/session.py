@@ -39,6 +39,7 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
+from ekf_companion.mavlink.past_frames import KEPT as MOST_WAITING
 from ekf_companion.mavlink.past_frames import PLACES, PastFrames
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.second_source import SecondSource
@@ -266,12 +267,19 @@ class Session:
 
     def note_frame(self, frame: Frame, now_ns: int) -> None:
         """Count, keep and record a frame of the autopilot that was processed elsewhere."""
-        self.pass_over(1, len(frame.raw), 1)
+        self.received_bytes += len(frame.raw)
         self.received[frame.message_id] += 1
-        self.past.keep(frame)
+        self.heard += 1
+        self.believed += 1
+        self.splitter.frames += 1
+        self.splitter.is_framed = True
+        self.past.waiting.append(frame)
+        if len(self.past.waiting) > MOST_WAITING:
+            self.past.drop()
         if frame.message_id in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
-        self.outbox.record(frame.raw, now_ns)
+        if self.options.is_recording:
+            self.outbox.record(frame.raw, now_ns)
 
     def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
         """Handle what anybody may say; return whether it was the autopilot who said it."""
@@ -419,11 +427,14 @@ class Session:
         if name == "GPS_GLOBAL_ORIGIN":
             self.origin.note(payload)
         elif name == "ODOMETRY":
-            self.origin.on_odometry(now_ns)
-        if name == "ODOMETRY" and not (self.may_stream and self.delivery.takes(now_ns)):
-            self.outbox.withhold(name, payload, now_ns)
-        else:
-            self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
+            if self.origin.is_settled:
+                self.origin.sent_ns = now_ns
+            else:
+                self.origin.on_odometry(now_ns)
+            if not (self.may_stream and self.delivery.pacing.takes(now_ns)):
+                self.outbox.withhold(name, payload, now_ns)
+                return
+        self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
 
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, one item each, and forget them."""
@@ -442,8 +453,9 @@ class Session:
     @property
     def may_stream(self) -> bool:
         """Whether ODOMETRY may be sent: the guard, a twin of ours and every service allow it."""
-        is_free = not self.clash.is_yielding and self.hold is None
-        return self.guard.decision.is_streaming and is_free
+        if not self.guard.decision.is_streaming or self.clash.is_yielding:
+            return False
+        return all(service.hold is None for service in self._with_peer)
 
     @property
     def hold(self) -> Hold | None:

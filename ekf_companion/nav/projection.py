@@ -15,6 +15,10 @@ from ekf_companion.nav.so3 import wrap
 class Projection(Protocol):
     """Metres north and east of an origin; angles in rad."""
 
+    is_azimuthal: bool
+    radius: float
+    """m."""
+
     def to_metres(self, lat: float, lon: float, lat_0: float, lon_0: float) -> tuple[float, float]:
         """Return north and east of the origin, m."""
         ...
@@ -31,6 +35,8 @@ class EquirectangularSphere:
 
     Source: ArduPilot, ``Location::get_distance_NE``, ``Location::offset_latlng``.
     """
+
+    is_azimuthal = False
 
     def __init__(self, radius: float) -> None:
         self.radius = radius
@@ -56,6 +62,8 @@ class AzimuthalEquidistant:
     Source: Snyder 1987, "Map projections: a working manual", USGS PP 1395, equations 25-1 to 25-4
     and 20-14, 20-15; PX4, ``lib/geo``, ``MapProjection``.
     """
+
+    is_azimuthal = True
 
     def __init__(self, radius: float) -> None:
         self.radius = radius

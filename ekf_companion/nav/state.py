@@ -184,3 +184,5 @@ class Odometry(NamedTuple):
     relative: bytes | None = None
     """21 floats of 32 bits that may replace the first covariance: without the slow error of the
     receiver's position, which is constant for minutes. None: not known."""
+    origin: tuple[float, float, float] | None = None
+    """Latitude, longitude (rad) and altitude (m) of the origin of the positions; None: not sent."""

@@ -12,7 +12,8 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import Events, Kind, is_reboot, merge
 from ekf_companion.replay.log_source import reference, truth
-from ekf_companion.replay.run import IdlePipeline, Progress, Run
+from ekf_companion.replay.run import Progress, Run
+from ekf_companion.replay.worker import Mode
 
 
 def read(
@@ -29,7 +30,7 @@ def read(
         LogError: The log cannot be read, or holds no event at all.
     """
     path = Path(path)
-    run = Run(path, config or Config(), IdlePipeline)
+    run = Run(path, config or Config(), Pipeline, Mode.NEVER)
     tables: list[Events] = []
     families: list[str] = []
     cuts: list[int] = []

@@ -7,21 +7,18 @@ columns of other logs enter behind it, at a pipeline; they start without anythin
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings.settings import FilterSettings
-from ekf_companion.engine.pipeline import Estimate, Pipeline
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
-from ekf_companion.nav.buffer import EventBuffer
-from ekf_companion.nav.measurements import Events, Row
-from ekf_companion.nav.state import COLUMNS, Table
+from ekf_companion.nav.measurements import Events
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.screen import Screen
+from ekf_companion.replay.worker import CHUNK, Block, Mode, Worker
 
 if TYPE_CHECKING:
     from ekf_companion.engine.companion import Companion
@@ -29,9 +26,6 @@ if TYPE_CHECKING:
     from ekf_companion.mavlink.frame import Frames
     from ekf_companion.mavlink.outbox import Message
     from ekf_companion.replay.vehicles import Vehicles
-
-CHUNK = 20_000
-"""Measurements in a block, and between two reports of progress."""
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, of how much."""
@@ -41,121 +35,22 @@ Step: TypeAlias = "tuple[int, bytes, list[Message]]"
 """Stamp (us), the log's frame there, empty where it has none, and the messages that follow."""
 
 
-class Block(NamedTuple):
-    """Consecutive measurements of one autopilot, and the estimates of their inertial samples."""
-
-    pipeline: Pipeline
-    events: Events
-    pending: Future[Table]
-
-    @property
-    def table(self) -> Table:
-        """The estimates, once they have been made."""
-        return self.pending.result()
-
-
-class BlockPipeline(Pipeline):
-    """A pipeline that processes measurements in blocks: much faster, and to the same bits.
-
-    A block is processed by a worker, one after the other: the kernel leaves the interpreter free,
-    for the next measurements to be read and the last estimates to be written meanwhile.
-    """
-
-    def __init__(
-        self,
-        settings: FilterSettings,
-        family: str = "unknown",
-        gnss_delay: float | None = None,
-        *,
-        keeps_history: bool = False,
-    ) -> None:
-        super().__init__(settings, family, gnss_delay, keeps_history=keeps_history)
-        self.blocks: list[Block] = []
-        """Finished, in order; whoever reads them clears the list."""
-        self.buffer = EventBuffer(CHUNK)
-        """Measurements of the block that is not finished yet."""
-        self.measured = 0
-        """Measurements of all blocks."""
-        self.worker: Executor = ThreadPoolExecutor(max_workers=1)
-
-    def process_row(self, row: Row) -> Estimate | None:
-        """Keep a measurement for the end of its block."""
-        self.buffer.append(row)
-        return None
-
-    def finish_block(self) -> Block:
-        """Let the measurements that were kept be processed."""
-        return self.run_block(self.buffer.take())
-
-    def run_block(self, events: Events) -> Block:
-        """Let measurements be processed as a block of their own."""
-        self.measured += len(events)
-        block = Block(self, events, self.worker.submit(self.run, events))
-        self.blocks.append(block)
-        return block
-
-    def retune(self, settings: FilterSettings) -> None:
-        """Finish the block by the settings so far, and go on with others."""
-        self.finish_block().pending.result()
-        super().retune(settings)
-
-
-class StepPipeline(BlockPipeline):
-    """A pipeline that processes measurements one by one, as in flight: for what is sent of them."""
-
-    def __init__(
-        self, settings: FilterSettings, family: str = "unknown", gnss_delay: float | None = None
-    ) -> None:
-        super().__init__(settings, family, gnss_delay)
-        self._stamps: list[int] = []
-        self._values: list[np.ndarray] = []
-
-    def process_row(self, row: Row) -> Estimate | None:
-        """Process a measurement at once."""
-        self.buffer.append(row)
-        estimate = Pipeline.process_row(self, row)
-        if estimate is not None:
-            self._stamps.append(estimate.t_ns)
-            self._values.append(estimate.values)
-        return estimate
-
-    def run_block(self, events: Events) -> Block:
-        """Let the estimates be collected, before there are more of them."""
-        block = super().run_block(events)
-        block.pending.result()
-        return block
-
-    def run(self, events: Events) -> Table:
-        """Return the estimates of measurements that have been processed already."""
-        table = Table(
-            stamp_ns=np.array(self._stamps, dtype=np.int64),
-            values=np.array(self._values).reshape(-1, len(COLUMNS) - 1),
-        )
-        self._stamps, self._values = [], []
-        return table
-
-
-class IdlePipeline(BlockPipeline):
-    """A pipeline that estimates nothing: for the measurements alone."""
-
-    def run(self, events: Events) -> Table:
-        """Return no estimates."""
-        return Table(stamp_ns=np.empty(0, dtype=np.int64), values=np.empty((0, len(COLUMNS) - 1)))
-
-
-P = TypeVar("P", bound=BlockPipeline)
+P = TypeVar("P", bound=Pipeline)
 
 
 class Run(Generic[P]):
     """One log through pipelines of one kind, a new one for each autopilot that is found in it."""
 
-    def __init__(self, path: Path, config: Config, kind: Callable[..., P]) -> None:
+    def __init__(
+        self, path: Path, config: Config, kind: Callable[..., P], mode: Mode = Mode.BLOCKS
+    ) -> None:
         """Open a log.
 
         Args:
             path: The log.
             config: The estimator's configuration, and the link's: which autopilot is listened to.
             kind: The class of the pipelines.
+            mode: When they process what they are given; :meth:`messages` wants ``ROWS``.
 
         Raises:
             LogError: The log cannot be read, or is of an unknown kind.
@@ -173,7 +68,8 @@ class Run(Generic[P]):
         """Whose inertial samples a .tlog holds that were not asked for, in words."""
         self.screen = Screen()
         """Counts what of columns is no measurement."""
-        self._config, self._kind = config, kind
+        self._config, self._kind, self._mode = config, kind, mode
+        self._worker: Worker | None = None  # of the last of the pipelines
         self._blocks: list[Block] = []  # of all pipelines, not yet yielded
         self._done = 0  # frames or measurements so far
         self._vehicles: Vehicles | None = None  # of a .tlog
@@ -243,9 +139,10 @@ class Run(Generic[P]):
             reader.open(frames)
             i = 0
             while i < len(frames):
-                if self.pipelines:
-                    i = reader.read(i, self.pipelines[-1].buffer)
-                if i < len(frames) and not (self.pipelines and self.pipelines[-1].buffer.is_full):
+                if self._worker is not None:
+                    i = reader.read(i, self._worker.buffer)
+                is_full = self._worker is not None and self._worker.buffer.is_full
+                if i < len(frames) and not is_full:
                     self._receive(companion, frames, i)
                     i += 1
                 self._done = before + i
@@ -278,7 +175,7 @@ class Run(Generic[P]):
     def _follow(self, companion: Companion) -> None:
         """Do what is due after a frame that the companion has received."""
         companion.frames_to_send()  # nobody hears them
-        if self._vehicles is not None and self._vehicles.follow(companion, self.pipelines[-1:]):
+        if self._vehicles is not None and self._vehicles.follow(companion, self._worker):
             self._system_id = companion.session.outbox.ids[0]
         self._finish_full_block()
 
@@ -292,9 +189,9 @@ class Run(Generic[P]):
 
     def _chunks(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline run over the columns, a block at a time."""
-        pipeline = self._open_pipeline(self._config, log.family)
+        _, worker = self._open_pipeline(self._config, log.family)
         for events in self._screened(log):
-            pipeline.run_block(events)
+            worker.run_block(events)
             yield 0, b"", []
 
     def _screened(self, log: Recording) -> Iterator[Events]:
@@ -308,37 +205,36 @@ class Run(Generic[P]):
         from ekf_companion.engine.publisher import Publisher
         from ekf_companion.mavlink.decode import Family
 
-        pipeline = self._open_pipeline(self._config, log.family)
+        _, worker = self._open_pipeline(self._config, log.family)
         publisher = Publisher(self._config, Family(log.family))
         for events in self._screened(log):
             before = self._done - len(events)
             t_ns, kind, values = events.t_ns, events.kind, events.values
             rows = zip(t_ns.tolist(), kind.tolist(), map(tuple, values.tolist()), strict=True)
             for self._done, row in enumerate(rows, before + 1):
-                estimate = pipeline.process_row(row)
+                estimate = worker.process_row(row)
                 messages = [] if estimate is None else publisher.due(estimate)
                 self._finish_full_block()
                 yield row[0] // 1000, b"", messages
         self._finish_full_block()  # nothing may be left of the last measurements
 
-    def _open_pipeline(self, config: Config, family: str) -> P:
-        if self.pipelines:
-            self.pipelines[-1].finish_block()
+    def _open_pipeline(self, config: Config, family: str) -> tuple[Pipeline, Worker]:
+        """Return a new pipeline, and what it is given its measurements by."""
+        if self._worker is not None:
+            self._worker.finish_block()
         pipeline = self._kind(config, family, self.gnss_delay)
-        pipeline.blocks = self._blocks
+        self._worker = Worker(pipeline, self._blocks.append, self._mode)
         self.pipelines.append(pipeline)
-        return pipeline
+        return pipeline, self._worker
 
     def _finish_full_block(self) -> None:
-        if self.pipelines:
-            pipeline = self.pipelines[-1]
-            if pipeline.buffer.is_full or self._done == self.size:
-                pipeline.finish_block()
+        if self._worker is not None and (self._worker.buffer.is_full or self._done == self.size):
+            self._worker.finish_block()
 
     def _take_blocks(self, progress: Progress | None, being_processed: int = 0) -> list[Block]:
         """Return the blocks that are due, processed, but for the last ones."""
         blocks = self._blocks[: len(self._blocks) - being_processed]
-        del self._blocks[: len(blocks)]  # the pipelines hold on to the list
+        del self._blocks[: len(blocks)]  # the workers hold on to the list
         for block in blocks:
             block.pending.result()
         if progress is not None:

@@ -19,11 +19,11 @@ from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.rts import Smoother
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
 from ekf_companion.core.settings.settings import FilterSettings
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, join
-from ekf_companion.replay.run import BlockPipeline
 
 _EVENT = np.dtype(Event)
 STRETCH = 512
@@ -47,7 +47,7 @@ class _Stretch:
     """Number of inertial samples among them."""
 
 
-class Smoothing(BlockPipeline):
+class Smoothing(Pipeline):
     """Estimator of a recorded flight: :meth:`run` all of it, then read :meth:`tables`."""
 
     def __init__(

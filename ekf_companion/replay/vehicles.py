@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from ekf_companion.logs.tlog import Autopilot, Tlog
 from ekf_companion.logs.tlog_senders import others, senders, unannounced
@@ -13,17 +12,11 @@ from ekf_companion.mavlink.event import Event, Noted, PeerFound
 if TYPE_CHECKING:
     from ekf_companion.engine.checkpoint import Vehicle
     from ekf_companion.engine.companion import Companion
+    from ekf_companion.replay.worker import Worker
 
 
 MOST_NAMED = 8
 """Others that are named; in a log of strangers or of noise there may be thousands."""
-
-
-class Measured(Protocol):
-    """A pipeline of a vehicle."""
-
-    measured: int
-    """Measurements that it took."""
 
 
 class Vehicles:
@@ -37,7 +30,7 @@ class Vehicles:
         self._wanted, self._notes = wanted, notes
         self._senders = senders(log)
         self._silent = unannounced(self._senders, wanted)
-        self._found: list[tuple[Vehicle, Measured]] = []
+        self._found: list[tuple[Vehicle, Worker]] = []
 
     def attend(self, companion: Companion) -> None:
         """Let a companion find an autopilot without heartbeats; keep what it notes."""
@@ -46,7 +39,7 @@ class Vehicles:
             peer = PeerFound(one.system_id, one.component_id, Family(one.family))
             companion.session.discovery.expect(peer)
 
-    def follow(self, companion: Companion, pipelines: Sequence[Measured]) -> bool:
+    def follow(self, companion: Companion, worker: Worker | None) -> bool:
         """Note who is listened to from now on; return whether it is another than before."""
         vehicle = companion.vehicle
         if vehicle is None or (self._found and vehicle is self._found[-1][0]):
@@ -57,7 +50,8 @@ class Vehicles:
                 f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
                 "there"
             )
-        self._found += [(vehicle, pipeline) for pipeline in pipelines]
+        if worker is not None:
+            self._found.append((vehicle, worker))
         return True
 
     def finish(self, companion: Companion) -> None:

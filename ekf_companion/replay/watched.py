@@ -9,10 +9,10 @@ import numpy as np
 
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import REFUSALS, Aid, Verdict
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Table, join
-from ekf_companion.replay.run import BlockPipeline
 
 PERIOD_NS = 1_000_000_000
 
@@ -33,7 +33,7 @@ class Look:
     """Reason of the last reset in it; empty: none."""
 
 
-class WatchedPipeline(BlockPipeline):
+class WatchedPipeline(Pipeline):
     """Runs over a block in pieces of a second, and notes what the filter did in each."""
 
     def __init__(

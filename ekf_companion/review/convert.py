@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ekf_companion.config.config import Config
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs.map_time import Label
 from ekf_companion.logs.recording import Recording
@@ -18,8 +19,9 @@ from ekf_companion.logs.writer import RATES, STDOUT, WRITERS, Thinning, create, 
 from ekf_companion.nav.state import Table, join
 from ekf_companion.replay.log_source import open_log, utc_zero_ns
 from ekf_companion.replay.read import read
-from ekf_companion.replay.run import BlockPipeline, Progress, StepPipeline
+from ekf_companion.replay.run import Progress
 from ekf_companion.replay.smoothing import Smoothing
+from ekf_companion.replay.worker import Mode
 from ekf_companion.review.report import Report
 from ekf_companion.review.review import Review
 
@@ -87,13 +89,13 @@ def _convert_to_files(
     progress: Progress | None,
     is_smoothed: bool,
 ) -> Report:
-    review: Review[Smoothing] | Review[BlockPipeline]
+    review: Review[Smoothing] | Review[Pipeline]
     with ExitStack() as stack:
         if is_smoothed:
             review = Review(path, config, Smoothing)
             tables = _smoothed(review, progress)
         else:
-            review = Review(path, config, BlockPipeline)
+            review = Review(path, config, Pipeline)
             tables = (block.table for block in review.blocks(progress))
         run = review.run
         label = cache(lambda: Label(path.name, utc_zero_ns(run.log, run.autopilot)))
@@ -114,7 +116,7 @@ def _convert_to_files(
 def _convert_to_messages(
     path: Path, out: Path, config: Config, progress: Progress | None
 ) -> Report:
-    review = Review(path, config, StepPipeline)
+    review = Review(path, config, Pipeline, Mode.ROWS)
     log = review.run.log
     if isinstance(log, Recording) and log.events.t_ns.min(initial=0) < 0:
         raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
@@ -162,7 +164,7 @@ def estimate(path: Path, config: Config, progress: Progress | None = None) -> tu
     Raises:
         LogError: As :func:`convert`.
     """
-    review = Review(path, config, BlockPipeline)
+    review = Review(path, config, Pipeline)
     tables = [block.table for block in review.blocks(progress)]
     report = review.finish()  # raises where there is no table
     return join(tables), report

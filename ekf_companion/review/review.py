@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from ekf_companion.config.config import Config
 from ekf_companion.core.settings.from_settings import delays_ns
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.log_source import reference, truth
-from ekf_companion.replay.run import Block, BlockPipeline, Progress, Run
+from ekf_companion.replay.run import Progress, Run
+from ekf_companion.replay.worker import Block, Mode
 from ekf_companion.review import left_out, stamps
 from ekf_companion.review.magnetometer import MagnetometerCheck
 from ekf_companion.review.receivers import ReceiverCheck
@@ -21,15 +23,17 @@ from ekf_companion.review.report import Report, add_block, note_shortcomings
 if TYPE_CHECKING:
     from ekf_companion.review.agreement import AgreementCheck
 
-P = TypeVar("P", bound=BlockPipeline)
+P = TypeVar("P", bound=Pipeline)
 
 
 class Review(Generic[P]):
     """Looks at each block of a run, and reports on the whole."""
 
-    def __init__(self, path: Path, config: Config, kind: Callable[..., P]) -> None:
+    def __init__(
+        self, path: Path, config: Config, kind: Callable[..., P], mode: Mode = Mode.BLOCKS
+    ) -> None:
         """Open a log; arguments and errors as for :class:`ekf_companion.replay.run.Run`."""
-        self.run = Run(path, config, kind)
+        self.run = Run(path, config, kind, mode)
         self._path, self._config = path, config
         log = self.run.log
         self._report = Report(log=str(path), damage=log.damage)

@@ -12,8 +12,7 @@ from pymavlink.generator.mavcrc import x25crc
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
-from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.engine.companion import Companion, open_live
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Frame
@@ -67,7 +66,7 @@ def flown(
     flight: str, names: tuple[str, ...], config: Config, autopilot: int | None = None
 ) -> Iterator[Any]:
     """Yield the published messages of some names."""
-    companion = Companion(config, open_pipeline=Pipeline)
+    companion = Companion(config, open_pipeline=open_live)
     for now_ns, recorded in frames(flight):
         frame = recorded if autopilot is None else with_autopilot(recorded, autopilot)
         for name, payload, _ in companion.receive(frame, now_ns):

@@ -1,33 +1,27 @@
 """ODOMETRY in the local frame of the autopilot that follows it."""
 
 import math
-from struct import Struct
 
 import numpy as np
 import pytest
 
+from ekf_companion.core.output.follower import NUMBERS, Follower
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Height
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.projection import ARDUPILOT, PX4
-from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry
 
 OURS = math.radians(47.397743), math.radians(8.545594), 493.5
 THEIRS = math.radians(47.397800), math.radians(8.545500), 489.4
 SECOND_NS = 1_000_000_000
-POSITION = Struct("<3f")
-
-
-def odometry(north, east, down):
-    numbers = POSITION.pack(north, east, down).ljust(ODOMETRY_SIZE, b"\1")
-    return Odometry(SECOND_NS, numbers, 1, 100)
 
 
 def sent(frame, *pos_n):
-    given = odometry(*pos_n)
-    found = frame.express(given, OURS)
-    assert found.numbers[POSITION.size :] == given.numbers[POSITION.size :]
-    return POSITION.unpack_from(found.numbers)
+    """Return a position as it is sent in a frame."""
+    follower = Follower()
+    follower.place = frame.place(OURS)
+    follower.look(SECOND_NS, NUMBERS.pack(*pos_n, 1.0, *[0.0] * 51), (0.0, 0.0, 0.0))
+    return NUMBERS.unpack(follower.express(1.0, 1.0, False))[:3]
 
 
 def place(*pos_n):
@@ -60,8 +54,12 @@ def test_px4_is_sent_metres_of_its_sphere_about_our_origin_for_it_keeps_the_offs
 def test_others_are_sent_the_same_bytes():
     frame = AutopilotFrame(Family.UNKNOWN)
     frame.set_origin(THEIRS)
-    given = odometry(600.0, 400.0, -12.0)
-    assert frame.express(given, OURS) is given
+    assert frame.place(OURS) is None
+    assert sent(frame, 600.0, 400.0, -12.0) == (600.0, 400.0, -12.0)
+
+
+def test_before_there_is_an_origin_of_ours_nothing_can_be_put_in_theirs():
+    assert AutopilotFrame(Family.PX4).place(None) is None
 
 
 def heights(frame, begin, end, theirs, ours, *, climb=0.0, may_follow=True, may_choose=True):

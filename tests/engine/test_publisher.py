@@ -42,7 +42,9 @@ class Given:
 
     @property
     def odometry(self):
-        return None if self.quality is None else Odometry(self.t_ns, NUMBERS, 0, self.quality)
+        if self.quality is None:
+            return None
+        return Odometry(self.t_ns, NUMBERS, 0, self.quality, origin=self.origin)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +56,7 @@ class WithRelative(Given):
         relative = np.full(21, 7.0, dtype="<f4").tobytes()
         numbers = np.frombuffer(NUMBERS, dtype="<f4").copy()
         numbers[[13, 45]] = 13.0, 45.0
-        return Odometry(self.t_ns, numbers.tobytes(), 0, 100, relative)
+        return Odometry(self.t_ns, numbers.tobytes(), 0, 100, relative, self.origin)
 
 
 def publisher(rate=50.0):

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.output.follower import Follower
 from ekf_companion.core.settings.settings import GnssSettings
 from ekf_companion.engine import checkpoint as checkpoint_bytes
 from ekf_companion.engine.checkpoint import MOST_STARTS, decode, encode
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.residual import std_ground_speed
 from ekf_companion.engine.warm_start import PATIENCE_NS
-from ekf_companion.nav.state import Odometry
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from tests.engine.conversation import SECOND_NS, converse, messages, named
@@ -129,7 +128,9 @@ def ground_speed_std(m):
     numbers = np.array([*pose, *m.pose_covariance, *m.velocity_covariance], dtype="<f4")
     if m.child_frame_id == m.frame_id:  # along the local axes already
         numbers[3:7] = 1.0, 0.0, 0.0, 0.0
-    return std_ground_speed(Odometry(0, numbers.tobytes(), 0, 0))
+    follower = Follower()
+    follower.look(0, numbers.tobytes(), (0.0, 0.0, 0.0))
+    return follower.std_ground_speed()
 
 
 @pytest.mark.parametrize("behind", [0.2, 2.9, 4.9])

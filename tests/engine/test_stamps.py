@@ -18,7 +18,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import COLUMNS, Status
-from ekf_companion.replay.run import BlockPipeline, Run
+from ekf_companion.replay.run import Run
 from sim_autopilot.autopilot import Kind as Firmware
 from tests.core.flights import flight
 from tests.engine.conversation import STREAMING, as_messages, cycles, named
@@ -230,7 +230,7 @@ def test_over_the_wire_odometry_goes_on_as_without_it_and_its_replay_is_the_same
 
     path = Path(tmp_path) / "flight.tlog"
     path.write_bytes(b"".join((t // 1000).to_bytes(8, "big") + data for t, data in given))
-    run = Run(path, STREAMING, BlockPipeline)
+    run = Run(path, STREAMING, Pipeline)
     for _ in run.blocks():
         pass
     replayed, live = run.pipelines[-1].state(), companion.pipeline.state()
@@ -300,7 +300,7 @@ def test_a_log_whose_clock_is_set_back_is_converted_to_its_end(by, tmp_path):
         lines.append(",".join((str(t_ns // 1000), *cells)))
     path = Path(tmp_path) / "flight.csv"
     path.write_text("\n".join(lines))
-    run = Run(path, STREAMING, BlockPipeline)
+    run = Run(path, STREAMING, Pipeline)
     tables = [block.table for block in run.blocks()]
     health = run.pipelines[-1].health()
     assert health.status is Status.OK

@@ -13,11 +13,10 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig
+from ekf_companion.core.output.follower import NUMBERS, Follower
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.engine.residual import about_down
-from ekf_companion.engine.step import StepMeter, to_pose
 from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.logs import tlog
@@ -28,6 +27,7 @@ from ekf_companion.nav.state import COLUMNS
 from ekf_companion.review.convert import convert
 from tests.core.flights import between, changed
 from tests.core.flights import flight as simulated
+from tests.core.test_follower import about_down
 from tests.engine.conversation import SECOND_NS, as_messages, converse, cycles, named
 from tests.engine.estimation import KNOWN
 from tests.engine.recorded import OURS, Sent, configured, frames, odometry, sent
@@ -323,7 +323,8 @@ def test_nothing_is_sent_from_where_a_float32_has_no_centimetres():
     events, _ = simulated("hover", duration=80.0)
     fixes = (events.kind == Kind.GNSS) & between(events, 30.0, 99.0)
     pipeline = Pipeline(KNOWN)
-    stream, sent_n = OdometryStream(OdometryConfig(), Family.PX4, StepMeter()), []
+    follower, sent_n = Follower(), []
+    stream = OdometryStream(OdometryConfig(), Family.PX4, follower)
     moved = changed(events, fixes, 0, 200e3 / 6.367e6)
     for t_ns, kind, values in zip(
         moved.t_ns.tolist(), moved.kind.tolist(), moved.values.tolist(), strict=True
@@ -331,10 +332,9 @@ def test_nothing_is_sent_from_where_a_float32_has_no_centimetres():
         row = (t_ns, kind, tuple(values))
         if (estimate := pipeline.process_row(row)) is None:
             continue
-        stream.add(estimate.sample)
-        stream.look(estimate)
+        follower.samples.append(estimate.sample)
         if (message := stream.send(estimate)) is not None:
-            sent_n.append(to_pose(message).pos_n[0])
+            sent_n.append(NUMBERS.unpack(message.numbers)[0])
     assert pipeline.values()[COLUMNS.index("pos_n") - 1] > 190e3
     assert np.abs(sent_n).max() < 10.0
     assert "too far from the origin" in stream.silence

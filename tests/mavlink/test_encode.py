@@ -2,11 +2,9 @@
 
 from array import array
 
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ekf_companion.engine.residual import local_velocity, state_covariance
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.decode import Family
@@ -43,47 +41,6 @@ def test_odometry_says_its_numbers_in_their_order():
     said = [m.x, m.y, m.z, *m.q, m.vx, m.vy, m.vz, m.rollspeed, m.pitchspeed, m.yawspeed]
     assert said + m.pose_covariance + m.velocity_covariance == NUMBERS
     assert (m.reset_counter, m.estimator_type, m.quality) == (1, 5, 80)
-
-
-def test_a_relative_covariance_takes_the_place_of_the_whole_one_alone():
-    relative = [100.0 + n for n in range(21)]
-    said = estimate(relative=array("f", relative).tobytes())
-    assert odometry(said).pose_covariance == NUMBERS[13:34]
-    m = odometry(state_covariance(said, is_relative=True))
-    assert m.pose_covariance == relative
-    assert [m.x, m.rollspeed, m.yawspeed] == [NUMBERS[0], NUMBERS[10], NUMBERS[12]]
-    assert m.velocity_covariance == NUMBERS[34:]
-    assert (
-        odometry(state_covariance(estimate(), is_relative=True)).pose_covariance == NUMBERS[13:34]
-    )
-
-
-def test_a_factor_on_the_velocity_down_leaves_all_else_alone():
-    level = [*NUMBERS[:3], 1.0, 0.0, 0.0, 0.0, *NUMBERS[7:]]
-    given = estimate(numbers=array("f", level).tobytes())
-    said = odometry(state_covariance(given, climb_factor=4.0))
-    factors = [b / a for a, b in zip(NUMBERS[34:], said.velocity_covariance, strict=True)]
-    assert [n for n, found in enumerate(factors) if found != 1.0] == [11]
-    assert factors[11] == 4.0
-    assert said.pose_covariance == NUMBERS[13:34]
-    assert [said.x, said.yawspeed] == [NUMBERS[0], NUMBERS[12]]
-
-
-def test_a_vehicle_that_leans_knows_its_velocity_over_ground_as_well_as_before():
-    """Along the axis of b that is nearest to down it does not: 2 m/s of a climb became sideways.
-
-    So PX4 was told after a restart that it did not know where it flew to, and left its mode.
-    """
-    lean = np.array([np.cos(0.2), np.sin(0.2) * 0.6, np.sin(0.2) * 0.8, 0.0])
-    leaning = np.array([*NUMBERS[:3], *lean, *NUMBERS[7:34], *[0.0] * 21])
-    leaning[[34, 40, 45]] = 0.1, 0.2, 4.0
-    given = estimate(numbers=leaning.astype("<f4").tobytes())
-    before, after = (
-        np.frombuffer(local_velocity(one).numbers, dtype="<f4")[34:]
-        for one in (given, state_covariance(given, climb_factor=30.0))
-    )
-    assert after[11] == pytest.approx(30.0 * before[11], rel=1e-4)
-    assert np.delete(after, 11) == pytest.approx(np.delete(before, 11), abs=1e-4)
 
 
 def test_px4_is_told_north_and_ardupilot_what_it_takes():

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from ekf_companion.config.config import Config
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.replay.run import IdlePipeline, Run
+from ekf_companion.replay.run import Run
+from ekf_companion.replay.worker import Mode
 from sim_autopilot.autopilot import Kind as Firmware
 from tests.engine.conversation import cycles
 
@@ -197,7 +199,7 @@ class KeptRun(Run):
 
 def run(path, in_blocks):
     """Return all measurements of a recording, its report, their numbers, and the counts."""
-    one = KeptRun(path, Config(), IdlePipeline)
+    one = KeptRun(path, Config(), Pipeline, Mode.NEVER)
     blocks = []
     for _ in one._pieces(one.log) if in_blocks else one._frames(one.log):
         blocks += one._take_blocks(None)
@@ -244,7 +246,7 @@ def test_most_frames_need_no_session(tmp_path, monkeypatch):
     path, seen = tmp_path / "flight.tlog", []
     flight = [(UNIX_US + t & ~3, frame.raw) for t, frame in flown(Firmware.PX4)]
     path.write_bytes(b"".join(t.to_bytes(8, "big") + raw for t, raw in flight))
-    one = Run(path, Config(), IdlePipeline)
+    one = Run(path, Config(), Pipeline, Mode.NEVER)
     receive = one._receive
     monkeypatch.setattr(one, "_receive", lambda *given: (seen.append(1), receive(*given)))
     for _ in one.blocks():
