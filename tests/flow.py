@@ -20,7 +20,7 @@ PACKAGE = "ekf_companion"
 PICTURE = ROOT / "docs" / "images" / "flow.svg"
 ROOMS = (
     *("link", "daemon", "status", "engine", "mavlink", "core"),
-    *("logs", "replay", "filters", "calibrate", "analysis"),
+    *("logs", "replay", "review", "filters", "calibrate", "analysis"),
 )
 """From left to right. Not drawn are those whose data are everybody's: nav, config, cli, doctor."""
 FLOWS = {
