@@ -200,7 +200,7 @@ def test_rotors_near_the_ground_do_not_move_the_height():
 
 
 def test_a_state_out_of_bounds_is_restored_from_the_last_good_one_once():
-    kernel = load().step
+    kernel = load().restart
     events, _ = flight("figure-eight", duration=20.0)
     _, pipeline = run(events)
     block = pipeline._timeline.block()
