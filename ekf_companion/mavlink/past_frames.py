@@ -11,6 +11,7 @@ Frames are kept as they are, and looked through when one comes whose stamp is be
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from itertools import islice
 from struct import calcsize
 
@@ -75,8 +76,10 @@ class PastFrames:
         """Whether somebody was told of a second path."""
         self.is_late = False
         """Whether the last frame was behind, and not heard before."""
-        self.waiting: deque[Frame | tuple[Frames, int, int]] = deque()
+        self._waiting: deque[Frame | tuple[Frames, int, int]] = deque(maxlen=KEPT)
         """What was heard and not looked through yet."""
+        self.note: Callable[[Frame], None] = self._waiting.append
+        """Keep a frame that was heard, where no run is kept: of a live stream."""
         self._more = 0
         """Frames of the runs in it, but for one of each."""
         self._keys: dict[tuple[int, bytes], None] = {}
@@ -86,23 +89,28 @@ class PastFrames:
 
     def forget(self) -> None:
         """Forget all: another autopilot speaks, or this one's clock began anew."""
-        self.waiting.clear()
+        self._waiting.clear()
         self._keys.clear()
         self._newest.clear()
         self._more, self._since_ns = 0, None
 
-    def keep(self, frame: Frame) -> None:
-        """Keep a frame that was heard."""
-        self.waiting.append(frame)
-        if len(self.waiting) + self._more > KEPT:
-            self.drop()
+    def keep(self, item: Frame | tuple[Frames, int, int]) -> None:
+        """Keep a frame that was heard, or a run of them; drop what is too old."""
+        if len(self._waiting) == KEPT:
+            self._more -= _size(self._waiting[0]) - 1  # it makes room
+        self._waiting.append(item)
+        while (count := len(self._waiting) + self._more) > KEPT:
+            size = _size(self._waiting[0])
+            if count - size < KEPT:
+                break
+            self._waiting.popleft()
+            self._more -= size - 1
 
     def keep_run(self, frames: Frames, begin: int, end: int) -> None:
         """Keep frames of a recording that were read, from one on."""
         begin = max(begin, end - KEPT)
-        self.waiting.append((frames, begin, end))
         self._more += end - begin - 1
-        self.drop()
+        self.keep((frames, begin, end))
 
     def is_behind(self, frame: Frame, clock: TimeBase) -> bool:
         """Return whether a frame may have been heard before, by its stamp."""
@@ -144,18 +152,9 @@ class PastFrames:
         """Whether frames have come again for longer than a burst lasts."""
         return self._since_ns is not None and self._until_ns - self._since_ns >= STEADY_NS
 
-    def drop(self) -> None:
-        """Drop what is too old."""
-        while (count := len(self.waiting) + self._more) > KEPT:
-            size = _size(self.waiting[0])
-            if count - size < KEPT:
-                break
-            self.waiting.popleft()
-            self._more -= size - 1
-
     def _read(self) -> None:
         """Look through the frames that wait."""
-        for item in self.waiting:
+        for item in self._waiting:
             if isinstance(item, Frame):
                 self._add(item.message_id, item.payload)
                 continue
@@ -163,7 +162,7 @@ class PastFrames:
             for i in range(begin, end):
                 frame = frames.frame(i)
                 self._add(frame.message_id, frame.payload)
-        self.waiting.clear()
+        self._waiting.clear()
         self._more = 0
         if (excess := len(self._keys) - KEPT) > 0:
             for key in list(islice(self._keys, excess)):

@@ -39,7 +39,6 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
-from ekf_companion.mavlink.past_frames import KEPT as MOST_WAITING
 from ekf_companion.mavlink.past_frames import PLACES, PastFrames
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.second_source import SecondSource
@@ -273,9 +272,7 @@ class Session:
         self.believed += 1
         self.splitter.frames += 1
         self.splitter.is_framed = True
-        self.past.waiting.append(frame)
-        if len(self.past.waiting) > MOST_WAITING:
-            self.past.drop()
+        self.past.note(frame)
         if frame.message_id in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
         if self.options.is_recording:

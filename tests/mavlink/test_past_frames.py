@@ -163,7 +163,7 @@ def test_the_frames_that_are_kept_are_bounded():
     hear(session, flight("HIGHRES_IMU", 3 * KEPT))
     for frame in kept:
         past.keep(frame)
-    assert len(past.waiting) <= KEPT
+    assert len(past._waiting) <= KEPT
     clock.advance(BEGIN_US + 3 * KEPT * STEP_US)
     assert not past.holds(kept[5], clock, 0)  # too long ago to be known
     assert past.holds(kept[-200], clock, 0)
