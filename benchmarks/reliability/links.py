@@ -21,7 +21,8 @@ import numpy as np
 
 from benchmarks.document import table, write
 from ekf_companion.config.config import Config
-from ekf_companion.engine.companion import Companion, open_live
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.intake import open_live
 from ekf_companion.logs import tlog
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import COLUMNS, Status

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
-from typing import Protocol
 
 from ekf_companion.config.config import Config
-from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.announcer import Announcer
 from ekf_companion.engine.checkpoint import Clocks, Vehicle, Why
 from ekf_companion.engine.comparison import Comparison
+from ekf_companion.engine.intake import Intake, open_live
 from ekf_companion.engine.options import session_options
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.engine.publisher import (
@@ -58,22 +57,6 @@ UNFED_NS = 2 * SECOND_NS
 """Without an inertial sample for so long, our heartbeat no longer carries the last status."""
 
 
-class Feed(Protocol):
-    """Takes the measurements of one vehicle: its pipeline, or what collects them for it."""
-
-    def process_row(self, row: Row) -> Estimate | None:
-        """Take a measurement; return an estimate if it is the newest sample, and processed."""
-
-    def retune(self, settings: FilterSettings) -> None:
-        """Go on with other settings."""
-
-
-def open_live(config: Config, family: str) -> tuple[Pipeline, Feed]:
-    """Return a pipeline that processes each measurement at once."""
-    pipeline = Pipeline(config, family)
-    return pipeline, pipeline
-
-
 class Companion:
     """One vehicle's estimator on one link.
 
@@ -88,7 +71,7 @@ class Companion:
         warm_start: WarmStart | None = None,
         signing: Signing | None = None,
         tuning: Tuning | None = None,
-        open_pipeline: Callable[[Config, str], tuple[Pipeline, Feed]] | None = None,
+        open_pipeline: Callable[[Config, str], tuple[Pipeline, Intake]] | None = None,
     ) -> None:
         """Begin with no autopilot.
 
@@ -116,7 +99,7 @@ class Companion:
         self.pipeline: Pipeline | None = None
         self.estimate: Estimate | None = None
         """The newest; None: none since the autopilot was found or has rebooted."""
-        self._feed: Feed | None = None
+        self._intake: Intake | None = None
         """What takes the measurements for the pipeline."""
         self._open_pipeline = open_pipeline or open_live
         self._announcer = Announcer(self.session) if is_live else None
@@ -184,15 +167,15 @@ class Companion:
         if self.session.has_events:
             self._handle_events(now_ns)
         found: list[Message] = []
-        feed, publisher, session = self._feed, self._publisher, self.session
-        if feed is None or publisher is None:
+        intake, publisher, session = self._intake, self._publisher, self.session
+        if intake is None or publisher is None:
             return found
         if not self._has_sample:
             # Go on from a checkpoint, if there is one that fits the inertial samples
             rows = self._start_from(rows, now_ns)
         for row in rows:
             # Order and fuse it; the newest inertial sample gives an estimate
-            if (estimate := feed.process_row(row)) is None:
+            if (estimate := intake.process_row(row)) is None:
                 continue
             self.estimate, self._estimated_ns = estimate, now_ns
 
@@ -322,7 +305,7 @@ class Companion:
             return
         config = self.tuning.config
         self.vehicle, self._family, self.estimate = vehicle, peer.family, None
-        self.pipeline, self._feed = self._open_pipeline(config, peer.family.value)
+        self.pipeline, self._intake = self._open_pipeline(config, peer.family.value)
         self._publisher = Publisher(config, peer.family)
         self._health_due, self._pause = Due(1.0), (0, 0)
         self._early = []
@@ -347,8 +330,8 @@ class Companion:
 
     def _retune(self, config: Config) -> None:
         """Go on with another configuration."""
-        if self._feed is not None:
-            self._feed.retune(config)
+        if self._intake is not None:
+            self._intake.retune(config)
         self.session.retune(session_options(config))
         if self._publisher is not None:
             self._publisher.retune(config)

@@ -12,7 +12,8 @@ from pymavlink.generator.mavcrc import x25crc
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
-from ekf_companion.engine.companion import Companion, open_live
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.intake import open_live
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Frame
