@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parent
 THIS = Path(__file__).name
 READERS = ("logs", "mavlink", "mavlink/decode", "nav")
 """Other rooms with modules that are compiled."""
-DECLARED = ("enums", "state", "parameters", "scratch")
+DECLARED = ("constants", "enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
 BY_HAND = {"order.stamps", "order.timeline", "output.follower", "output.jump", "rts"}
 """Modules with classes, or functions of Python's tuples: their ``.pxd`` is not made here."""

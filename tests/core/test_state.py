@@ -3,7 +3,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory import enums, parameters, scratch, state
+from ekf_companion.core.memory import constants, enums, parameters, scratch, state
 from ekf_companion.core.memory.declare import pxd
 from ekf_companion.core.memory.overlay import as_estimate, clear_estimated, errors
 from ekf_companion.core.memory.state import BLOCK, ESTIMATED, State
@@ -13,7 +13,7 @@ from ekf_companion.nav.state import COLUMNS
 from tests.core.interpreted import FOLDER
 
 
-@pytest.mark.parametrize("module", [enums, state, parameters, scratch])
+@pytest.mark.parametrize("module", [constants, enums, state, parameters, scratch])
 def test_the_compiler_was_given_what_is_declared(module):
     name = module.__name__.rpartition(".")[2]
     assert (FOLDER / "memory" / f"{name}.pxd").read_text(encoding="utf-8") == pxd(module)
@@ -24,7 +24,7 @@ def test_an_enumeration_has_one_number_each_from_zero_and_no_other():
     for prefix, kind in enums.ENUMS.items():
         first = 1 if prefix == "AZIMUTH" else 0
         numbers = list(range(first, first + len(kind)))
-        if prefix == "REASON":  # a set of them is one number
+        if prefix in ("FLAG", "REASON"):  # a set of them is one number
             numbers = [1 << number for number in numbers]
         assert [int(member) for member in kind] == numbers
         with pytest.raises(AttributeError):

@@ -22,13 +22,13 @@ from cython.cimports.ekf_companion.core.filter.past import acceleration_noise, l
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.slow_error import scale_correlation, set_variance
 from cython.cimports.ekf_companion.core.filter.update import apply_delay_update, innovate
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import fabs
 
-NEVER = cython.declare(cython.double, -1e18)
 SHORTEST = cython.declare(cython.double, 0.7e9)
 """Between the fixes that are compared, ns: long enough for the velocity to change."""
 LONGEST = cython.declare(cython.double, 1.6e9)

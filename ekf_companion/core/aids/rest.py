@@ -6,6 +6,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm, wrap
+from cython.cimports.ekf_companion.core.memory.constants import EARTH_RATE
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_BG,
     E_VEL,
@@ -40,10 +41,6 @@ FIELD_TURN = cython.declare(cython.double, 0.01)
 """One sigma of a turn of the magnetic field itself between two windows, rad."""
 LONGEST_STILL = cython.declare(cython.double, 60.0)
 """Time after which the field is compared with that of a newer window, s."""
-
-
-EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
-"""rad/s."""
 
 
 def begin_window(x: State, t: float) -> None:

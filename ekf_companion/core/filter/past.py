@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import PAST
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.scratch import Then
 from cython.cimports.ekf_companion.core.memory.state import State
 
-NEVER = cython.declare(cython.double, -1e18)
 STEP = cython.declare(cython.double, 35e6)
 """Between what is kept, ns."""
 INTERVALS = cython.declare(cython.double, 2.0)

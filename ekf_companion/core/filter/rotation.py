@@ -5,11 +5,9 @@ Source: Sola 2017, sections 1 to 4.
 
 from __future__ import annotations
 
-import cython
+from cython.cimports.ekf_companion.core.memory.constants import PI
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm, Vector
 from cython.cimports.libc.math import cos, floor, sin, sqrt
-
-PI = cython.declare(cython.double, 3.14159265358979323846)
 
 
 def rotate(q: Vector, px: float, py: float, pz: float) -> None:

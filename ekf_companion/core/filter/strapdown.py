@@ -8,6 +8,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import rotate, rotate_body, to_dcm
+from cython.cimports.ekf_companion.core.memory.constants import EARTH_RATE
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Motion
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -21,7 +22,6 @@ SOMIGLIANA = cython.declare(cython.double, 0.00193185265241)
 FREE_AIR = cython.declare(cython.double, 3.0877e-6)
 SMOOTH = cython.declare(cython.double, 0.05)
 """s; time constant of the acceleration, of which one sample has too much noise."""
-EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
 
 
 def set_origin(x: State, lat: float, lon: float, alt: float) -> None:

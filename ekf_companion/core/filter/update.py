@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.filter.rotation import rotate
+from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
     E_BG,
@@ -25,7 +26,6 @@ from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import atan2, fabs, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
 LEAST_VARIANCE = cython.declare(cython.double, 1e-16)
 
 

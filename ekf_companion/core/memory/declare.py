@@ -6,6 +6,7 @@ and numbers.
 """
 
 import ctypes
+import math
 from enum import IntEnum, IntFlag
 from types import ModuleType
 from typing import Annotated, Any, TypeAlias, get_args, get_origin
@@ -58,6 +59,11 @@ def pxd(module: ModuleType) -> str:
         numbers |= {f"{prefix}_{member.name}": int(member) for member in kind}
     if numbers:
         lines += ["cdef enum:", *(f"    {name} = {number}" for name, number in numbers.items())]
+    values = {name: one for name, one in named.items() if name.isupper() and type(one) is float}
+    if values:
+        lines += ["cdef extern from *:", '    """', "    #include <math.h>"]
+        lines += [f"    #define EKF_{name} {_c_value(value)}" for name, value in values.items()]
+        lines += ['    """', *(f'    double {name} "EKF_{name}"' for name in values)]
     for one in structs:
         if one.__module__ == module.__name__:
             word = "union" if issubclass(one, ctypes.Union) else "struct"
@@ -93,6 +99,10 @@ def _memory(hint: Any) -> Any:
 
 def _is_struct(one: object) -> bool:
     return isinstance(one, type) and issubclass(one, ctypes.Structure | ctypes.Union)
+
+
+def _c_value(value: float) -> str:
+    return "((double) NAN)" if math.isnan(value) else f"({value!r})"
 
 
 def _c_field(name: str, kind: Any) -> str:

@@ -6,7 +6,7 @@
 from enum import IntEnum, IntFlag
 
 from ekf_companion.core.memory.declare import enum_member
-from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.measurements import GnssFlag, Kind
 from ekf_companion.nav.state import Reason, Status
 
 
@@ -148,6 +148,7 @@ class Link(IntEnum):
 
 ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "KIND": Kind,
+    "FLAG": GnssFlag,
     "STATUS": Status,
     "REASON": Reason,
     "ARRIVAL": Arrival,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.memory.enums import (
+    FLAG_DERIVED,
     KIND_BARO,
     KIND_GNSS,
     KIND_HEADING,
@@ -22,7 +23,6 @@ LARGEST_RATE = cython.declare(cython.double, 200.0)
 LARGEST_FORCE = cython.declare(cython.double, 2000.0)
 """m/s^2."""
 NOWHERE = cython.declare(cython.double, NULL_ISLAND)
-DERIVED = cython.declare(cython.int, 1)
 
 
 def compare(row: Event, t: float, kind: int, values: Numbers) -> int:
@@ -86,6 +86,6 @@ def is_sane(kind: int, values: Numbers) -> bool:
 
 def is_nowhere(lat: float, lon: float, flags: int) -> bool:
     """Return whether a place (rad) is what stands for none: 0, 0, or a derived one near it."""
-    if flags & DERIVED:
+    if flags & FLAG_DERIVED:
         return fabs(lat) < NOWHERE and fabs(lon) < NOWHERE
     return lat == 0.0 and lon == 0.0

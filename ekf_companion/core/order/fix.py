@@ -12,6 +12,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
+from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEIGHT,
     AID_POSITION,
@@ -19,6 +20,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_GNSS,
     E_POS,
     E_VEL,
+    FLAG_DERIVED,
     MODE_LEVEL,
     MODE_NAVIGATE,
     RESET_HEIGHT,
@@ -55,8 +57,6 @@ from cython.cimports.ekf_companion.core.trust.innovation import (
 )
 from cython.cimports.libc.math import isnan, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
-NEVER = cython.declare(cython.double, -1e18)
 SILENT_COMPASS = cython.declare(cython.double, 4e9)
 """Silence that a compass is given at the first fix, ns: a second less than what lets another
 estimate's heading be used."""
@@ -66,7 +66,6 @@ GOOD_VELOCITY = cython.declare(cython.double, 0.1)
 """White noise of a velocity above which its slow error is larger in proportion, m/s."""
 JERK = cython.declare(cython.double, 0.25)
 """Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
-DERIVED = cython.declare(cython.int, 1)
 DOUBTED_NIS = cython.declare(cython.double, 0.02)
 """NIS that a doubt of one is worth where the heading is judged."""
 FAR_WORSE = cython.declare(cython.double, 18.0)
@@ -81,8 +80,6 @@ LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
 """Longest time for which a position that drift cannot explain is refused, s."""
 SHORTEST_RUN = cython.declare(cython.double, 3.0)
 """Least duration of a run of refused fixes that proves them, s."""
-SAME_CAUSE = cython.declare(cython.double, 2.0)
-"""A height refused for this time when the position is reset is reset too, s."""
 
 
 def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
@@ -90,12 +87,12 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     fix = address(w.fix)
     flags = cython.declare(cython.int, cython.cast(cython.int, values.flags))
     has_vel = cython.declare(cython.bint, k.use_velocity != 0.0 and not isnan(values.vel_n[0]))
-    is_first = cython.declare(cython.bint, not flags & DERIVED and x.raw_fix_t <= NEVER)
+    is_first = cython.declare(cython.bint, not flags & FLAG_DERIVED and x.raw_fix_t <= NEVER)
 
     # Which source, and is it usable
     if not receiver.is_allowed(x, k, flags):
         return True
-    if not flags & DERIVED and not receiver.is_used(x, k, w, values):
+    if not flags & FLAG_DERIVED and not receiver.is_used(x, k, w, values):
         gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
         return True
     if receiver.is_frozen(x, values):

@@ -11,6 +11,7 @@ from cython.cimports.ekf_companion.core.filter.covariance import propagate_covar
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
+from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
     E_POS,
@@ -38,7 +39,6 @@ COVARIANCE_INTERVAL = cython.declare(cython.double, 0.0095)
 """Interval at which P is carried on, s: 10 ms, give or take the samples' jitter."""
 LARGEST_TURN = cython.declare(cython.double, 4.0)
 """Largest square of the turn, rad^2, that is integrated from one sample."""
-NAN = cython.declare(cython.double, float("nan"))
 
 
 def carry_on(x: State, k: Parameters, w: Scratch) -> None:

@@ -11,10 +11,14 @@ from cython import address
 from cython.cimports.ekf_companion.core.aids import gnss
 from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
 from cython.cimports.ekf_companion.core.filter.update import innovate
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_POSITION,
     E_GNSS,
     E_VEL,
+    FLAG_DERIVED,
+    FLAG_SECOND,
+    FLAG_SUSPECT,
     MODE_NAVIGATE,
     RESET_ORIGIN,
     RESET_POSITION,
@@ -39,8 +43,6 @@ from cython.cimports.ekf_companion.core.trust.gate import (
     is_timed_out,
 )
 
-NEVER = cython.declare(cython.double, -1e18)
-SECOND = cython.declare(cython.int, 4)
 SILENT = cython.declare(cython.double, 0.6e9)
 """Time for which one receiver speaks and the other does not, beside half as much again as its last
 interval, ns. At 5 Hz that ends before ODOMETRY would for want of a fix."""
@@ -58,14 +60,12 @@ REPEATS = cython.declare(cython.double, 2.0)
 """Repeats of one position after which a moving receiver counts as frozen."""
 FROZEN = cython.declare(cython.double, 1e9)
 """Repeats that stand for a receiver that was found to be frozen."""
-SUSPECT = cython.declare(cython.int, 2)
-DERIVED = cython.declare(cython.int, 1)
 
 
 def is_used(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     """Return whether a fix is of the receiver in use, or of the other one where it is needed."""
     flags = cython.declare(cython.int, cython.cast(cython.int, values.flags))
-    second = 1.0 if flags & SECOND else 0.0
+    second = 1.0 if flags & FLAG_SECOND else 0.0
     if second == x.receiver:
         x.alone_t = NEVER
         return True
@@ -169,7 +169,7 @@ def is_allowed(x: State, k: Parameters, flags: int) -> bool:
     The autopilot's own position is used only for a vehicle that never sent a fix of its receiver:
     while a receiver is silent it is the autopilot's dead reckoning.
     """
-    if flags & DERIVED:
+    if flags & FLAG_DERIVED:
         if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.raw_fix_t > NEVER):
             gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
             return False
@@ -178,7 +178,7 @@ def is_allowed(x: State, k: Parameters, flags: int) -> bool:
         if k.use_derived == 2.0:
             gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
             return False
-    if flags & SUSPECT:
+    if flags & FLAG_SUSPECT:
         gate.count_verdict(x, AID_POSITION, VERDICT_SUSPECT)
         return False
     return True

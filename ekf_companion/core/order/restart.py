@@ -10,6 +10,7 @@ from cython.cimports.ekf_companion.core.filter import past
 from cython.cimports.ekf_companion.core.filter.slow_error import copy_covariance
 from cython.cimports.ekf_companion.core.filter.strapdown import forget_pending
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
+from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEIGHT,
     AID_POSITION,
@@ -32,8 +33,6 @@ RESTORE_AGAIN = cython.declare(cython.double, 1e10)
 """A second unsound state within this time is not restored but starts the filter over, ns."""
 FIRST_SHARE = cython.declare(cython.double, 0.3)
 """White share, at first, of the variance that a receiver states for its position."""
-NAN = cython.declare(cython.double, float("nan"))
-NEVER = cython.declare(cython.double, -1e18)
 
 
 def forget_sensors(x: State) -> None:

@@ -52,8 +52,6 @@ from cython.cimports.ekf_companion.core.start import yaw_bank, yaw_frame
 from cython.cimports.ekf_companion.core.trust import doubt, gate
 from cython.cimports.ekf_companion.core.trust.noise import learn_noise
 
-NAN = cython.declare(cython.double, float("nan"))
-NEVER = cython.declare(cython.double, -1e18)
 WITHOUT = cython.declare(cython.double, 1.0)
 """Time without the receiver's velocity after which the force is used, s."""
 SLOW_GAP = cython.declare(cython.double, 3.0)

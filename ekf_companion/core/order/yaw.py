@@ -11,6 +11,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.aids import heading
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance, reset_variance
 from cython.cimports.ekf_companion.core.filter.update import apply_yaw_update, innovate
+from cython.cimports.ekf_companion.core.memory.constants import UNKNOWN_ANGLE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
     AZIMUTH_ANTENNA,
@@ -61,8 +62,6 @@ INSISTENCE = cython.declare(cython.double, 9e8)
 """Least time that a heading is refused before it resets anything, ns."""
 CONVINCING = cython.declare(cython.double, 10.0)
 """Natural fields in a row that a magnetometer needs once it was disturbed."""
-UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
-"""Variance of an unknown angle: pi^2 / 3, rad^2."""
 
 
 def is_heading_used(x: State, k: Parameters, source: int) -> bool:
@@ -216,7 +215,7 @@ def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
     if is_compass or yaw_reset.agrees(x):
         # the compass has jumped: the gyro saw no turn, or the motion confirms our yaw
         leap.forget(x)
-        reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
+        reset_variance(x, E_HEADING, 1, UNKNOWN_ANGLE)
         innovate(x, o)
         apply_yaw_update(x, o)
         note_used(x, AID_HEADING)

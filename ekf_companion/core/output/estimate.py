@@ -7,6 +7,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm, wrap
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
+from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
     AID_HEIGHT,
@@ -63,7 +64,6 @@ from cython.cimports.ekf_companion.core.trust.gate import is_running, is_timed_o
 from cython.cimports.ekf_companion.core.trust.voices import is_fall_unconfirmed
 from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
 DEG = cython.declare(cython.double, 57.29577951308232)
 SLOW_STREAM = cython.declare(cython.double, 0.15)
 """Usual interval beyond which a vehicle's attitude is a guess, s."""

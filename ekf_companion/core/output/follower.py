@@ -19,6 +19,7 @@ from struct import Struct
 from typing import Any
 
 import cython
+from cython.cimports.ekf_companion.core.memory.constants import PI
 from cython.cimports.ekf_companion.core.output.jump import unexplained_step
 from cython.cimports.libc.math import (
     atan2,
@@ -39,7 +40,6 @@ NUMBERS = Struct("<55f")
 """Of an ODOMETRY: position, quaternion, velocity, rates, and two upper triangles row by row."""
 TRIANGLE = Struct("<21f")
 _SINGLE = Struct("<f")
-PI = cython.declare(cython.double, 3.141592653589793)
 TWO_PI = cython.declare(cython.double, 6.283185307179586)
 QUATERNION = cython.declare(cython.Py_ssize_t, 3)
 VELOCITY = cython.declare(cython.Py_ssize_t, 7)

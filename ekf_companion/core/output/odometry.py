@@ -10,6 +10,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
+from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import E_ATT, E_GNSS, E_POS, E_VEL
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.scratch import (
@@ -21,7 +22,6 @@ from cython.cimports.ekf_companion.core.memory.scratch import (
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import cos, isfinite, sin, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
 STEEP = cython.declare(cython.double, 0.1)
 """Cosine of the pitch (84 deg) beyond which Euler angles say less than their variances would."""
 LEAST_VAR = cython.declare(cython.double, 1e-6)

@@ -29,6 +29,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import (
     set_covariance,
     set_variance,
 )
+from cython.cimports.ekf_companion.core.memory.constants import UNKNOWN_ANGLE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_FIELD,
     E_ATT,
@@ -63,8 +64,6 @@ LARGEST_SHAKEN = cython.declare(cython.double, 300.0)
 """Largest doubt to start with."""
 LEVEL_ENOUGH = cython.declare(cython.double, 0.1)
 """Largest acceleration to level in without north, as a share of gravity."""
-UNKNOWN_YAW = cython.declare(cython.double, 3.29)
-"""Variance of an unknown angle: pi^2 / 3, rad^2."""
 
 
 def set_attitude(x: State, w: Scratch, p: Pair) -> None:
@@ -160,7 +159,7 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
     reset_variance(x, E_DELAY, 1, delay)
     x.heading_offset = 0.0
     x.has_yaw = 0.0
-    set_variance(x, E_ATT + 2, UNKNOWN_YAW)
+    set_variance(x, E_ATT + 2, UNKNOWN_ANGLE)
     for i in range(3):
         x.vel_n[i] = 0.0
         x.pos_n[i] = 0.0
@@ -378,7 +377,7 @@ def level_again(x: State, k: Parameters, w: Scratch) -> bool:
         return False
     reset_variance(x, E_ATT, 2, tilt * tilt)
     # right already, but how sure it is the next heading says, by the tilt that it is seen with
-    reset_variance(x, E_ATT + 2, 1, UNKNOWN_YAW)
+    reset_variance(x, E_ATT + 2, 1, UNKNOWN_ANGLE)
     reset_variance(x, E_HEADING, 1, x.heading_std * x.heading_std)
     x.heading_offset = 0.0
     return True

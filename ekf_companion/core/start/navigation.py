@@ -9,6 +9,7 @@ from cython.cimports.ekf_companion.core.aids.delay import forget_gain
 from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance, set_variance
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
+from cython.cimports.ekf_companion.core.memory.constants import UNKNOWN_ANGLE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -36,8 +37,6 @@ from cython.cimports.ekf_companion.core.start import align, yaw_reset
 from cython.cimports.ekf_companion.core.trust import slide
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset, count_verdict, note_used
 
-UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
-"""Variance of an unknown angle: pi^2 / 3, rad^2."""
 LEAST_YAW_VAR = cython.declare(cython.double, 2.5e-3)
 """Variance of a heading found in motion, beside what the bank says, rad^2: in a steady turn a bias
 of the accelerometer is taken for a part of the turn."""
@@ -106,7 +105,7 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     x.used_t[AID_HEADING] = x.t
     reset_variance(x, E_ATT + 2, 1, yaw_std * yaw_std + LEAST_YAW_VAR)
     # what a compass has said until now counts for nothing: its error is to be found
-    reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
+    reset_variance(x, E_HEADING, 1, UNKNOWN_ANGLE)
     start_navigation(x, k, w, True)
     if keeps_height:  # the receiver's is not heard
         x.moved.pos_n[2] += height - x.pos_n[2]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.filter.past import acceleration_noise
+from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER
 from cython.cimports.ekf_companion.core.memory.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, ImuRow, Motion, Observation
@@ -23,8 +24,6 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import slide
 from cython.cimports.libc.math import exp, fabs, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
-NEVER = cython.declare(cython.double, -1e18)
 LEAST_DOUBT = cython.declare(cython.double, 3e-5)
 QUIET_DOUBT = cython.declare(cython.double, 0.0003)
 """The same while the vehicle does not manoeuvre."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.memory.constants import SAME_CAUSE
 from cython.cimports.ekf_companion.core.memory.enums import AID_POSITION, AID_VELOCITY, E_VEL, N
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, Observation
@@ -33,8 +34,6 @@ MEAN_SIGMAS = cython.declare(cython.double, 5.5)
 """The same in sigmas of the mean itself; both must be exceeded."""
 SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
 """Way in sigmas of a fix that would have shown in the positions."""
-SAME_CAUSE = cython.declare(cython.double, 2.0)
-"""A height refused for this time when the position is reset is reset too, s."""
 
 
 def white_share(x: State, k: Parameters, aid: int) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.filter.rotation import wrap
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import E_ATT
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.state import State
 
-NEVER = cython.declare(cython.double, -1e18)
 LEAPT = cython.declare(cython.double, 0.2617993877991494)
 """Least leap of an azimuth that no gyro saw, rad: 15 degrees, as of a yaw that is corrected."""
 LEAPT_SIGMAS = cython.declare(cython.double, 5.0)

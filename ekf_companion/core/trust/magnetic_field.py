@@ -9,6 +9,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.update import innovate
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import MODE_ATTITUDE, N
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -33,7 +34,6 @@ LARGEST_MEMORY = cython.declare(cython.double, 25.0)
 """Blocks over which the noise is learnt."""
 LEAST_SHARE = cython.declare(cython.double, 0.05)
 """Least share of the configured variance, for the best of magnetometers."""
-NEVER = cython.declare(cython.double, -1e18)
 
 
 def is_natural(x: State, k: Parameters, o: Observation, mag_b: Vector) -> bool:

@@ -11,12 +11,12 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import wrap
+from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import AID_POSITION, AID_VELOCITY
 from cython.cimports.ekf_companion.core.memory.scratch import Fix
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
 LONGEST = cython.declare(cython.double, 3.0)
 """Longest interval between two fixes to add a velocity up over, s."""
 STEADY = cython.declare(cython.double, 1.5)

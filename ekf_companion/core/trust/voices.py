@@ -11,6 +11,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
+from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     E_BARO,
@@ -28,7 +29,6 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import slide
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
-NAN = cython.declare(cython.double, float("nan"))
 MEMORY = cython.declare(cython.double, 40.0)
 """Time constant over which the climbs are compared, s; that of a slide."""
 LONG_MEMORY = cython.declare(cython.double, 1000.0)

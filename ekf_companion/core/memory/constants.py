@@ -1,0 +1,15 @@
+"""Numbers that several files of the kernel share; ``setup.py`` makes ``constants.pxd`` from it."""
+
+import math
+
+PI = math.pi
+NAN = math.nan
+"""What is not known."""
+NEVER = -1e18
+"""Time of what has not happened, ns; longer ago than any flight."""
+EARTH_RATE = 7.292115e-5
+"""Rate at which the Earth turns, rad/s (WGS-84)."""
+UNKNOWN_ANGLE = 3.29
+"""Variance of an angle that may be any: pi^2 / 3, rad^2."""
+SAME_CAUSE = 2.0
+"""Time within which the refusals of two measurements of a receiver have one cause, s."""
