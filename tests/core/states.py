@@ -4,35 +4,16 @@ import numpy as np
 
 from ekf_companion.core.memory.enums import (
     E_ATT,
-    E_BA,
-    E_BARO,
-    E_BG,
-    E_DELAY,
-    E_GNSS,
-    E_GNSS_VEL,
-    E_HEADING,
-    E_IRON,
-    E_POS,
     E_VEL,
     N,
 )
+from ekf_companion.core.memory.overlay import errors
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Motion
 from ekf_companion.core.memory.state import State
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
 
-VECTORS = {
-    "vel_n": E_VEL,
-    "pos_n": E_POS,
-    "gyro_bias": E_BG,
-    "accel_bias": E_BA,
-    "gnss_offset": E_GNSS,
-    "hard_iron": E_IRON,
-    "gnss_vel_offset": E_GNSS_VEL,
-}
-"""Parts of the nominal state that are vectors, and where their errors are."""
-NUMBERS = {"baro_offset": E_BARO, "gnss_delay": E_DELAY, "heading_offset": E_HEADING}
 SAMPLE = (0.4, -0.8, 0.3, 1.5, -2.0, -9.0)
 """Rate, rad/s, and specific force, m/s^2."""
 
@@ -79,10 +60,7 @@ def plus(x: State, error: np.ndarray) -> State:
     """Return a state with a small error put into it, as the kernel defines errors."""
     x = copy(x)
     x.q_nb[:] = so3.multiply(so3.exp(error[E_ATT : E_ATT + 3]), np.array(x.q_nb))
-    for name, first in VECTORS.items():
-        array(getattr(x, name))[:] += error[first : first + 3]
-    for name, place in NUMBERS.items():
-        setattr(x, name, getattr(x, name) + error[place])
+    array(errors(x))[:] += error[E_VEL:]
     return x
 
 
@@ -91,10 +69,7 @@ def minus(y: State, x: State) -> np.ndarray:
     error = np.zeros(N)
     q = so3.multiply(np.array(y.q_nb), so3.conjugate(np.array(x.q_nb)))
     error[E_ATT : E_ATT + 3] = so3.log(q)
-    for name, first in VECTORS.items():
-        error[first : first + 3] = array(getattr(y, name)) - array(getattr(x, name))
-    for name, place in NUMBERS.items():
-        error[place] = getattr(y, name) - getattr(x, name)
+    error[E_VEL:] = array(errors(y)) - array(errors(x))
     return error
 
 

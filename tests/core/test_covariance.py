@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ekf_companion.core.memory.enums import N
+from ekf_companion.core.memory.enums import E_HEADING, N
 from ekf_companion.core.memory.scratch import Motion, TapeRecord
 from tests.core.interpreted import load
 from tests.core.states import SAMPLE, a_state, array, copy, minus, plus, sampled, some_parameters
@@ -112,3 +112,19 @@ def test_noise_is_what_van_loan_gives():
         # to first order in dt: what the noise of attitude adds to velocity in 10 ms is left out
         largest = np.abs(expected[part, part]).max()
         np.testing.assert_allclose(after[part, part], expected[part, part], atol=1e-4 * largest)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_decay_is_that_of_a_gauss_markov_process(share):
+    x, e, level = a_state(4), E_HEADING, 0.5
+    root = np.random.default_rng(4).normal(0.0, 0.1, (N, N))
+    array(x.P)[:] = root @ root.T
+    before = array(x.P).copy()
+    Phi = np.eye(N)
+    Phi[e, e] = 1.0 - share
+    load().covariance.decay(x, e, share, level)
+    expected = Phi @ before @ Phi.T
+    expected[e, e] += (1.0 - (1.0 - share) ** 2) * level
+    after = array(x.P)
+    after[e, :9] = after[:9, e]  # the propagation mirrors the first nine rows itself
+    np.testing.assert_allclose(after, expected, rtol=1e-12, atol=1e-15)

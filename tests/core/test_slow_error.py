@@ -66,20 +66,6 @@ def test_an_error_copied_from_another_is_that_and_white_noise():
     assert is_covariance(x)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_decay_is_that_of_a_gauss_markov_process(share):
-    x, e, level = a_covariance(4), E_HEADING, 0.5
-    before = array(x.P).copy()
-    Phi = np.eye(N)
-    Phi[e, e] = 1.0 - share
-    load().slow_error.decay(x, e, share, level)
-    expected = Phi @ before @ Phi.T
-    expected[e, e] += (1.0 - (1.0 - share) ** 2) * level
-    after = array(x.P)
-    after[e, :9] = after[:9, e]  # the propagation mirrors the first nine rows itself
-    np.testing.assert_allclose(after, expected, rtol=1e-12, atol=1e-15)
-
-
 def test_a_scaled_correlation_is_scaled_in_row_and_column():
     x = a_covariance(6)
     before = array(x.P).copy()

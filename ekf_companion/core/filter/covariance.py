@@ -8,7 +8,6 @@ Source: Groves 2013, chapter 14; Sola 2017, section 7 (global angular error).
 
 from __future__ import annotations
 
-from cython.cimports.ekf_companion.core.filter.slow_error import decay
 from cython.cimports.ekf_companion.core.filter.strapdown import forget_pending
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
@@ -207,3 +206,15 @@ def write_transition(k: Parameters, m: Motion, dt: float, Phi: Square) -> None:
     for i in range(3):
         Phi[E_GNSS + i][E_GNSS + i] = 1.0 - faded / (faded + k.gnss_offset_time)
         Phi[E_GNSS_VEL + i][E_GNSS_VEL + i] = 1.0 - faded / (faded + k.gnss_vel_offset_time)
+
+
+def decay(x: State, e: int, g: float, level: float) -> None:
+    """Decay the Gauss-Markov error state e by the share g, towards its stationary variance.
+
+    Within the first nine rows only the column is written: those are mirrored afterwards.
+    """
+    for j in range(N):
+        x.P[j][e] -= g * x.P[j][e]
+    for j in range(9, N):
+        x.P[e][j] -= g * x.P[e][j]
+    x.P[e][e] += g * (2.0 - g) * level

@@ -1,4 +1,4 @@
-"""Error states set by hand: drawn anew, inflated, decayed, copied.
+"""Error states set by hand: drawn anew, inflated, copied.
 
 With :mod:`.update` and :mod:`.covariance` the only place that writes P.
 """
@@ -20,18 +20,6 @@ def reset_variance(x: State, first: int, count: int, variance: float) -> None:
             x.P[i][j] = 0.0
             x.P[j][i] = 0.0
         x.P[i][i] = variance
-
-
-def decay(x: State, e: int, g: float, level: float) -> None:
-    """Decay the Gauss-Markov error state e by the share g, towards its stationary variance.
-
-    Within the first nine rows only the column is written: those are mirrored afterwards.
-    """
-    for j in range(N):
-        x.P[j][e] -= g * x.P[j][e]
-    for j in range(9, N):
-        x.P[e][j] -= g * x.P[e][j]
-    x.P[e][e] += g * (2.0 - g) * level
 
 
 def add_variance(x: State, e: int, variance: float) -> None:
