@@ -122,12 +122,14 @@ class Wire:
         """Whether the last of the daemon's requests was heard: for the version."""
         self._link = link
         self._splitter = Splitter()
-        self._rng = None if seed is None else np.random.default_rng(seed)
+        self._seed = seed
+        self._rngs = {}
+        """Each message has its own, by its number: how often is answered is the daemon's timing."""
         self._held = []
 
     def send(self, frame):
         self.sent.append(frame)
-        for data in [frame] if self._rng is None else self._disturbed(frame):
+        for data in [frame] if self._seed is None else self._disturbed(frame):
             self._link.send(data)
 
     async def receive(self):
@@ -145,19 +147,21 @@ class Wire:
 
     def _disturbed(self, frame):
         """Return what becomes of a frame: lost, doubled, damaged, cut, overtaken, or itself."""
+        message = int.from_bytes(frame[7:10], "little")
+        rng = self._rngs.setdefault(message, np.random.default_rng((self._seed, message)))
         held, self._held = self._held, []
-        match int(self._rng.integers(0, 40)):
+        match int(rng.integers(0, 40)):
             case 0:
                 out = []
             case 1:
                 out = [frame, frame]
             case 2:
-                out = [self._rng.bytes(int(self._rng.integers(1, 30))), frame]
+                out = [rng.bytes(int(rng.integers(1, 30))), frame]
             case 3:
-                place = int(self._rng.integers(0, len(frame)))
+                place = int(rng.integers(0, len(frame)))
                 out = [frame[:place] + bytes([frame[place] ^ 0x40]) + frame[place + 1 :]]
             case 4:
-                place = int(self._rng.integers(1, len(frame)))
+                place = int(rng.integers(1, len(frame)))
                 out = [frame[:place], frame[place:]]
             case 5:
                 self._held = [frame]
@@ -277,12 +281,13 @@ class Record:
         self.frames = [Splitter().feed(raw + raw)[0] for raw in self.raw]
         self.damaged = log.damaged
 
-    def of(self, name, component=US):
-        """Return stamp (us) and message of each frame of a kind."""
+    def of(self, *names, component=US):
+        """Return stamp (us) and message of each frame of these kinds, in order."""
+        ids = [IDS[name] for name in names]
         return [
             (stamp, unpack(frame))
             for stamp, frame in zip(self.stamps, self.frames, strict=True)
-            if frame.message_id == IDS[name] and frame.component_id == component
+            if frame.message_id in ids and frame.component_id == component
         ]
 
     def sent(self):
@@ -511,10 +516,13 @@ def assert_same_as_its_estimates(record):
         rows = list(csv.DictReader(file))
     by_stamp = {int(row["time_us"]): row for row in rows}
     assert len(by_stamp) == len(rows)
-    sent = record.of("ODOMETRY")
-    told = record.of("GPS_GLOBAL_ORIGIN")
-    for stamp, message in sent:
-        begun = [one for when, one in told if when <= stamp][-1]
+    sent = []
+    # By their order: what one read of a busy board brings has one stamp
+    for stamp, message in record.of("ODOMETRY", "GPS_GLOBAL_ORIGIN"):
+        if type(message).__name__ == "GPS_GLOBAL_ORIGIN":
+            begun = message
+            continue
+        sent.append((stamp, message))
         origin = *np.deg2rad((begun.latitude * 1e-7, begun.longitude * 1e-7)), begun.altitude * 1e-3
         row = by_stamp[message.time_usec]
 

@@ -99,7 +99,7 @@ def restarted(tmp_path_factory):
 
 
 def first_of(record, name, component):
-    return record.of(name, component)[0]
+    return record.of(name, component=component)[0]
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -133,7 +133,7 @@ def test_what_was_lost_is_a_checkpoints_interval_and_the_way_up(restarted):
         (restarted.records[0], restarted.records[1], 2.5),
         (restarted.records[1], restarted.records[2], 0.9),
     ):
-        last = before.of("HIGHRES_IMU", 1)[-1][1].time_usec
+        last = before.of("HIGHRES_IMU", component=1)[-1][1].time_usec
         first = first_of(after, "HIGHRES_IMU", 1)[1].time_usec
         number = restarted.records.index(after)
         said = restarted.words[number].split("a checkpoint that is ")[1].split(" s old")[0]

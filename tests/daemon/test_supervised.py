@@ -89,7 +89,7 @@ def test_odometry_is_there_again_as_soon_as_it_is_started_after_a_kill(killed, n
     _, records, kills = killed
     first, odometry = records[number].of("ODOMETRY")[0]
     # At once: it is the answer to the first fix that comes after the start, five times a second
-    sample = records[number].of("HIGHRES_IMU", 1)[0][1]
+    sample = records[number].of("HIGHRES_IMU", component=1)[0][1]
     assert 0 <= odometry.time_usec - sample.time_usec < 500_000
     assert (first - kills[number - 1]) * 1e-6 < BUSY
 
@@ -98,7 +98,7 @@ def test_what_was_recorded_before_a_kill_can_be_read_up_to_its_last_second(kille
     _, records, kills = killed
     for record, kill in zip(records, kills, strict=False):
         assert (kill - record.stamps[-1]) * 1e-6 < 3.0  # a second, and a wait for the processor
-        assert len(record.of("HIGHRES_IMU", 1)) > 250
+        assert len(record.of("HIGHRES_IMU", component=1)) > 250
     assert records[0].convert(".csv").stat().st_size > 10_000
 
 
@@ -327,7 +327,7 @@ def test_the_rest_is_refused_by_name(reloaded):
 
 def test_no_sample_is_dropped_meanwhile(reloaded):
     wire, record, _, _ = reloaded
-    stamps = [m.time_usec for _, m in record.of("HIGHRES_IMU", 1)]
+    stamps = [m.time_usec for _, m in record.of("HIGHRES_IMU", component=1)]
     assert len(stamps) > 2000
     assert max(b - a for a, b in itertools.pairwise(stamps)) <= 4000
     assert len(odometry(wire)) > 100
