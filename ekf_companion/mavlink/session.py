@@ -24,7 +24,7 @@ from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decision import Decision, Hold, stream_state
-from ekf_companion.mavlink.decode import Decoder, DecoderOptions
+from ekf_companion.mavlink.decode import Decoder, DecoderOptions, aids
 from ekf_companion.mavlink.delivery import Delivery
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
@@ -68,6 +68,7 @@ RATES: Mapping[str, float] = {
     "GPS2_RAW": 5.0,
     "SCALED_IMU2": 10.0,
     "SCALED_IMU3": 10.0,
+    **aids.RATES,
 }
 """Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late. The last
 three are for a second receiver and other compasses, and as slow as suffices to watch them."""

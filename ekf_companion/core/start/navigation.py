@@ -6,7 +6,11 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.aids import gnss
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
-from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance, set_variance
+from cython.cimports.ekf_companion.core.filter.slow_error import (
+    forget_offsets,
+    reset_variance,
+    set_variance,
+)
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.constants import UNKNOWN_ANGLE
@@ -57,7 +61,7 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
     if x.origin.is_known == 0.0:
         set_origin(x, w.fix.lat, w.fix.lon, w.fix.alt)
     x.mode = MODE_NAVIGATE
-    x.has_baro = 0.0
+    forget_offsets(x)
     north = x.gnss_offset[0]
     east = x.gnss_offset[1]
     down = x.gnss_offset[2]
