@@ -302,8 +302,11 @@ def _aid(read: Reader, name: str, given: Mapping[str, Any], imu_ns: Stamps) -> E
     for column, value in aid.row.items():
         if column not in given and not value.is_optional:
             raise DataError(f"{name}: needs {column} ({value.unit})")
-        values = given.get(column, np.full(len(t_ns), np.nan))
-        columns.append(read.array(f"{name}.{column}", values, (len(t_ns),)))
+        columns.append(
+            read.array(f"{name}.{column}", given[column], (len(t_ns),))
+            if column in given
+            else np.full(len(t_ns), np.nan)
+        )
     return Events.from_columns(t_ns, aid.kind, *columns)
 
 
