@@ -43,7 +43,9 @@ def test_covariance_follows_the_slope_of_the_motion(dt):
     rng = np.random.default_rng(6)
     root = (
         rng.normal(0.0, 1.0, (N, N))
-        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0, 0.01, 0.1], [3, 3, 3, 3, 3, 6, 3, 3])[:, None]
+        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0, 0.01, 0.1], [3, 3, 3, 3, 3, 6, 3, N - 24])[
+            :, None
+        ]
     )
     P = root @ root.T
     array(x.P)[:] = P
@@ -114,9 +116,8 @@ def test_noise_is_what_van_loan_gives():
     )
     F[3:6, 12:15] = -C
     F[6:9, 3:6] = np.eye(3)
-    Q = np.diag(
-        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 11])
-    )
+    variances = [2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0]
+    Q = np.diag(np.repeat(variances, [3, 3, 3, 3, 3, 1, N - 16]))
     block = expm(np.block([[-F, Q], [np.zeros_like(F), F.T]]) * dt)
     expected = block[N:, N:].T @ block[:N, N:]
     after = array(x.P)
