@@ -81,6 +81,8 @@ def test_what_was_learnt_is_kept_within_two_sigmas_of_what_is_usual(sign):
     # the delay about its first guess
     assert x.gnss_delay == pytest.approx(0.04 + sign * 0.1)
     assert x.first_delay == 0.04
+    y.gnss_delay = 0.04 + sign * 0.05
+    assert carried(y).gnss_delay == pytest.approx(y.gnss_delay)
 
 
 def test_the_motion_is_not_kept():

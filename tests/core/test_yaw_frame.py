@@ -58,6 +58,16 @@ def test_the_summed_turn_is_what_an_error_of_the_bias_does_to_the_frame(axis):
     np.testing.assert_allclose(turned, expected, atol=2e-3 * error)
 
 
+def test_the_force_turns_with_the_body_within_a_sample():
+    """Against a thousand steps of the midpoint rule."""
+    b, dt, steps = begun(), 0.02, 1000
+    carry(b, dt)
+    middle = (np.arange(steps) + 0.5) * dt / steps
+    turned = [so3.rotate(so3.exp(np.array(RATE) * t), np.array(FORCE)) for t in middle]
+    # second order: (0.9 rad/s 0.02 s)^2 / 6 of 9 m/s^2
+    np.testing.assert_allclose(b.sums.dv, dt * np.mean(turned, axis=0), atol=dt * 1e-3)
+
+
 @pytest.mark.parametrize(("is_running", "kept"), [(0.0, 0.5), (1.0, 1.0)])
 def test_the_mean_force_is_kept_for_two_seconds_while_up_is_being_found(is_running, kept):
     b = begun()
