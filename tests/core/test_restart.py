@@ -95,6 +95,19 @@ def test_who_starts_over_keeps_the_place_the_counts_and_what_sensors_have_said()
     assert (x.resets, x.reset_reason) == (3.0, Reset.CLOCK)
 
 
+def test_what_was_learnt_by_the_estimate_that_is_discarded_begins_anew():
+    x, new = flown(), State()
+    x.doubt, x.walk.drift, x.drag.n, x.field_noise.share = 50.0, 9.0, 7.0, 4.0
+    x.gain.begin.t = x.gain.end.t = NOW
+    x.alignment.motion.has_fix = x.alignment.reference.is_known = 1.0
+    x.alignment.rest.n, x.run[1].n, x.last_z_t[1] = 30.0, 5.0, NOW
+    load().restart.start_over(x, NOW, Reset.CLOCK)
+    load().restart.start(new, NOW)
+    for part in ("walk", "drag", "field_noise", "run", "alignment"):
+        assert bytes(getattr(x, part)) == bytes(getattr(new, part)), part
+    assert (x.doubt, x.gain.begin.t, x.gain.end.t, x.last_z_t[1]) == (1.0, -1e18, -1e18, -1e18)
+
+
 def test_a_new_filter_has_nothing_of_the_sensors():
     x = flown()
     load().restart.forget_sensors(x)
@@ -115,7 +128,7 @@ def spoilt() -> State:
     """Return a state after a step that has made it unsound."""
     x = flown()
     x.vel_n[0], x.q_nb[2], x.P[E_VEL][E_VEL] = NAN, NAN, -1.0
-    x.gyro[:] = [0.1, 0.2, 0.3]
+    x.gyro[:], x.accel_n[:] = [0.1, 0.2, 0.3], [NAN] * 3
     x.pending.dt = 0.004
     return x
 
@@ -135,6 +148,7 @@ def test_an_earlier_state_takes_the_place_of_an_unsound_one():
     assert np.count_nonzero(added) == 9
     assert (np.diag(added)[:9] > 0.0).all()
     assert is_covariance(x)
+    assert list(x.accel_n) == [0.0] * 3
     # the last sample and the counts go on
     assert list(x.gyro) == [0.1, 0.2, 0.3]
     assert (x.resets, x.reset_reason, x.needs_reset) == (3.0, Reset.BOUNDS, 0.0)
