@@ -102,10 +102,18 @@ def test_what_turns_by_two_radians_between_samples_is_not_followed():
     np.testing.assert_allclose(m.mean[:3], begun().gyro_bias)
 
 
-@pytest.mark.parametrize("span", [0.05, 0.2, 0.3])
-def test_a_gap_adds_what_a_gauss_markov_process_may_have_done_between_its_ends(span):
-    x, rate = begun(), 0.9
-    load().interval.inflate_after_gap(x, parameters(), span, rate, True)
+def test_the_rate_that_the_ends_of_a_gap_show_is_their_rms():
+    rate = load().interval.shown_rate(begun(), a_sample(AFTER))
+    assert rate == pytest.approx(np.sqrt(np.mean([BEFORE[:3] ** 2, AFTER[:3] ** 2])))
+
+
+@pytest.mark.parametrize(
+    ("span", "shown", "rate"), [(0.05, 0.9, 0.9), (0.2, 0.6, 0.6), (0.3, 0.1, 0.5)]
+)
+def test_a_gap_adds_what_a_gauss_markov_process_may_have_done_between_its_ends(span, shown, rate):
+    """A vehicle is flown hard, whatever calm the ends show."""
+    x = begun()
+    load().interval.inflate_after_gap(x, parameters(), span, shown, True)
     _, variance = integral_between(span)
     added = np.diag(array(x.P))
     np.testing.assert_allclose(added[E_ATT : E_ATT + 3], rate**2 * variance, rtol=1e-3)
@@ -182,6 +190,18 @@ def test_the_covariance_follows_every_10_ms_and_at_each_sample_that_is_clipped()
 
     assert carried(0.0) == [False, False, True, False]
     assert carried(1.0) == [True] * 4
+
+
+@pytest.mark.parametrize("needs", [NeedsReset.NOTHING, NeedsReset.FIX, NeedsReset.TILT])
+def test_after_a_long_gap_the_reference_is_carried_on_beside_the_state(needs):
+    x, k, w = begun(), parameters(), Scratch()
+    x.needs_reset, x.alignment.reference.is_known = needs, 1.0
+    x.alignment.reference.direction_b[:] = [1.0, 0.0, 0.0]
+    w.motion.mean[:] = BEFORE
+    q = list(x.q_nb)
+    load().interval.advance(x, k, w, x.t + 1e7, x.t, DT)
+    assert list(x.q_nb) != q
+    assert (x.alignment.reference.direction_b[1] != 0.0) == (needs != NeedsReset.NOTHING)
 
 
 def test_while_levelling_nothing_but_the_reference_moves():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.enums import E_BG, E_POS, E_VEL, Aid, Mode, N, Verdict
+from ekf_companion.core.memory.enums import E_BG, E_POS, E_VEL, Aid, Mode, N, NeedsReset, Verdict
 from ekf_companion.core.memory.overlay import as_parameters
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Scratch
@@ -91,7 +91,7 @@ def test_a_quiet_window_is_rest_unless_the_autopilot_reports_flight(
 
 @pytest.mark.parametrize(
     ("seconds", "fix_age", "is_levelled"),
-    [(5.9, None, False), (8.0, None, True), (8.0, 1.0, False)],
+    [(5.9, None, False), (7.2, None, True), (7.2, 1.0, False)],
 )
 def test_a_vehicle_that_never_rests_is_levelled_roughly_unless_fixes_do_better(
     seconds, fix_age, is_levelled
@@ -127,6 +127,29 @@ def test_a_first_hover_is_not_taken_for_rest(landed, seen, count):
     sample(x, window() + 0.02)
     assert x.at_rest == 1.0
     assert sum(x.count[Aid.REST]) == count
+
+
+@pytest.mark.parametrize(
+    ("use_rest", "needs_reset"), [(0.0, NeedsReset.NOTHING), (1.0, NeedsReset.TILT)]
+)
+def test_rest_is_not_fused_where_that_is_off_or_the_attitude_is_to_be_reset(use_rest, needs_reset):
+    x, k, w = standing(Mode.NAVIGATE), settings(), Scratch()
+    sample(x, 0.5 * window())
+    k.use_rest, x.needs_reset = use_rest, needs_reset
+    load().zero_velocity.use_rest_window(x, k, w)
+    assert x.at_rest == 1.0
+    assert sum(x.count[Aid.REST]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("was_still", "shaking", "kept"), [(1.0, 0.01, 50e9), (0.0, 0.01, 0.0), (1.0, 2.0, 0.0)]
+)
+def test_fields_are_compared_while_rest_lasts(was_still, shaking, kept):
+    x = standing(Mode.NAVIGATE)
+    sample(x, 0.5 * window(), shaking)
+    x.at_rest, x.alignment.still.t0 = was_still, 50e9
+    load().zero_velocity.use_rest_window(x, settings(), Scratch())
+    assert x.alignment.still.t0 == kept
 
 
 @pytest.mark.parametrize(
