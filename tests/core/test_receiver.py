@@ -101,13 +101,15 @@ def test_another_receiver_has_errors_of_its_own():
     x.gnss_offset[:], x.gnss_vel_offset[:] = [3.0, -2.0, 1.0], [0.1, 0.2, 0.3]
     array(x.P)[E_POS, E_GNSS] = array(x.P)[E_GNSS, E_POS] = 0.005
     x.refused_t[Aid.POSITION], x.run[0].n, x.slide.is_sliding = NOW, 4.0, 1.0
+    x.innovation_mean[:], x.slide.led[:], x.is_force_denied = [0.5] * 3, [9.0] * 2, 1.0
     load().receiver.forget_receiver(x)
     assert not any([*x.gnss_offset, *x.gnss_vel_offset])
     np.testing.assert_allclose(np.diag(array(x.P))[E_GNSS : E_GNSS + 3], [0.5, 0.5, 2.0])
     assert np.count_nonzero(array(x.P)[E_GNSS]) == 1
     assert x.P[E_POS][E_POS] == 0.01
     assert x.refused_t[Aid.POSITION] == x.used_t[Aid.POSITION]
-    assert (x.run[0].n, x.slide.is_sliding) == (0.0, 0.0)
+    assert (x.run[0].n, x.slide.is_sliding, x.is_force_denied) == (0.0, 0.0, 0.0)
+    assert not any([*x.innovation_mean, *x.slide.led])
 
 
 @pytest.mark.parametrize(
@@ -154,6 +156,14 @@ def test_a_position_repeated_to_the_bit_while_we_move_is_frozen():
     assert not load().receiver.is_frozen(x, a_fix(north=1.000001))
 
 
+@pytest.mark.parametrize(("speed", "is_frozen"), [(1.1, False), (1.15, True)])
+def test_we_move_if_we_are_sure_of_that(speed, is_frozen):
+    """At 1 m/s and three sigmas of 0.1 m/s an axis: 1.13 m/s."""
+    x = navigating()
+    x.vel_n[:] = speed * np.array([0.6, 0.0, 0.8])
+    assert repeated(x, 4)[-1] == is_frozen
+
+
 def test_a_velocity_repeated_to_the_bit_shows_a_frozen_receiver_unless_we_rest():
     x = navigating()
     assert repeated(x, 4, (3.0, 0.0)) == [False, False, True, True]
@@ -168,7 +178,8 @@ def test_a_velocity_repeated_to_the_bit_shows_a_frozen_receiver_unless_we_rest()
 def test_the_first_fix_of_a_receiver_judges_the_autopilot_s_position(east, reset):
     x, w, k = navigating(), Scratch(), settings()
     k.lever_arm_b[:] = [0.0] * 3
-    x.q_nb[0], x.pos_n[0], x.at_rest = 1.0, 0.25, 1.0
+    x.q_nb[0], x.at_rest, x.run[2].n = 1.0, 1.0, 5.0
+    x.pos_n[0], x.pos_n[2] = 0.25, -3.0
     row = a_fix(east=east)
     load().fix.read_fix(x, k, w.fix, row)
     assert load().receiver.replace_derived(x, k, w, True) == (reset is not None)
@@ -177,9 +188,10 @@ def test_the_first_fix_of_a_receiver_judges_the_autopilot_s_position(east, reset
         return
     assert x.reset_reason == reset
     # whatever the frame, what is reported as moved is the way to the new place
-    np.testing.assert_allclose(x.moved.pos_n, [-0.25, east, 0.0], atol=1e-6)
+    np.testing.assert_allclose(x.moved.pos_n, [-0.25, east, 3.0], atol=1e-6)
     place = earth.LocalFrame(x.origin.lat, x.origin.lon, x.origin.alt).to_geodetic(
         np.array(x.pos_n)
     )
     np.testing.assert_allclose(place, [row.lat, row.lon, row.alt], atol=1e-9)
     assert (x.origin.lon == LON) == (reset == Reset.POSITION)
+    assert x.run[2].n == 0.0

@@ -124,8 +124,9 @@ def test_another_source_has_another_slow_error():
     x.heading_offset, x.P[E_HEADING][E_HEADING], x.P[E_ATT + 2][E_HEADING] = 0.2, 1e-6, 1e-7
     fuse(x, 0.0, HeadingSource.AUTOPILOT, std=0.1)
     assert x.heading_offset == pytest.approx(0.2, abs=0.02)
+    x.azimuth_t = NOW
     fuse(x, 0.0)
-    assert x.azimuth == Azimuth.ANTENNA
+    assert (x.azimuth, x.azimuth_t) == (Azimuth.ANTENNA, -1e18)
     assert x.heading_offset == pytest.approx(0.0, abs=1e-9)
     assert x.heading_std == 0.005
     assert x.P[E_HEADING][E_HEADING] <= 0.005**2
@@ -150,23 +151,25 @@ def test_a_precise_heading_that_is_refused_for_long_resets_yaw():
 
 def test_a_poor_one_shares_the_contradiction_between_yaw_and_itself():
     x = flown(azimuth=Azimuth.OTHER)
-    refused(x, HeadingSource.AUTOPILOT, 1.0, 0.1)
+    refused(x, HeadingSource.AUTOPILOT, 0.8, 0.1)
     moved = yaw(x) - YAW
     assert moved == pytest.approx(x.moved.yaw, abs=1e-6)
-    # both may be wrong by a radian, and together they make up for it
-    assert moved == pytest.approx(0.5, abs=0.01)
-    assert moved + x.heading_offset == pytest.approx(1.0, abs=0.01)
-    assert x.P[E_ATT + 2][E_ATT + 2] > 0.4
+    # yaw may be wrong by what it is off, the other by a radian; together they make up for it
+    assert moved == pytest.approx(0.8 * 0.64 / 1.64, abs=0.01)
+    assert moved + x.heading_offset == pytest.approx(0.8, abs=0.01)
+    assert x.P[E_ATT + 2][E_ATT + 2] == pytest.approx(0.64 / 1.64, abs=0.01)
+    assert x.redrawn[E_ATT + 2] == 1.0
     assert is_covariance(x)
 
 
 def test_a_poor_one_that_the_yaw_bank_contradicts_moves_nothing_but_its_error():
     x = flown(azimuth=Azimuth.OTHER)
     x.yaw_bank.q_sb[:], x.yaw_bank.yaw_std, x.yaw_bank.good = x.q_nb, 0.05, 5.0
+    x.azimuth_t = NOW
     refused(x, HeadingSource.AUTOPILOT, 1.0, 0.1)
     assert yaw(x) == pytest.approx(YAW, abs=1e-3)
     assert x.heading_offset == pytest.approx(1.0, abs=0.01)
-    assert x.resets == 0.0
+    assert (x.resets, x.azimuth_t) == (0.0, -1e18)
 
 
 def see(x: State, field_n: np.ndarray) -> None:
@@ -197,6 +200,7 @@ def test_after_a_disturbed_field_ten_natural_ones_must_follow():
         x.t += 0.1e9
         see(x, FIELD_N)
         assert counts[Verdict.DISTURBED] == 2.0 + n
+        assert x.azimuth_t == x.t  # the next azimuth follows on the last before
     x.t += 0.1e9
     see(x, FIELD_N)
     assert [counts[i] for i in (Verdict.FUSED, Verdict.DISTURBED)] == [2.0, 10.0]
@@ -204,14 +208,14 @@ def test_after_a_disturbed_field_ten_natural_ones_must_follow():
 
 def test_another_compass_is_as_uncertain_as_at_first_and_yaw_stays():
     x, k = flown(azimuth=Azimuth.FIELD), settings()
-    x.hard_iron[:] = [0.01, 0.02, 0.03]
+    x.hard_iron[:], x.azimuth_t = [0.01, 0.02, 0.03], NOW
     before = copy(x)
     load().yaw.use_compass(x, k, 0.0)
     assert bytes(x) == bytes(before)
     load().yaw.use_compass(x, k, 1.0)
     variances = np.diag(array(x.P))
     np.testing.assert_allclose(variances[E_IRON : E_IRON + 3], k.iron_std**2)
-    assert variances[E_HEADING] == 0.02**2
+    assert (variances[E_HEADING], x.azimuth_t) == (0.02**2, -1e18)
     assert list(x.hard_iron) == list(before.hard_iron)
     assert list(x.q_nb) == list(before.q_nb)
     np.testing.assert_array_equal(variances[: E_BG + 3], np.diag(array(before.P))[: E_BG + 3])
