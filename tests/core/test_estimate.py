@@ -47,11 +47,12 @@ def reasons(x: State) -> Reason:
 
 
 def write(x: State, lag: float = 0.0) -> Estimate:
-    """Return an estimate of which each number has been written."""
-    out, k = Estimate(), parameters()
+    """Return an estimate; its memory and that of the step hold something else before."""
+    out, k, w = Estimate(), parameters(), Scratch()
     k.lag = lag
-    array(out.lla)[:] = 99.0
-    status = load().estimate.write_estimate(x, k, State(), Scratch(), out)
+    for numbers in (out.lla, out.pos_n, out.q_nb, w.motion.rate_slope, w.motion.force_slope):
+        array(numbers)[:] = 1e5
+    status = load().estimate.write_estimate(x, k, State(), w, out)
     assert status == out.status
     return out
 
@@ -101,6 +102,22 @@ def test_an_aid_is_missed_once_it_is_late(aids, seconds, found):
     if found and found != Reason.UNAIDED:
         was_refused = Reason[found.name.replace("MISSING", "REFUSED")]
         assert reasons(aged(aids, seconds, is_refused=True)) == was_refused
+
+
+@pytest.mark.parametrize(
+    ("since", "refusals", "is_gradual", "found"),
+    [
+        (0.0, 1.0, 0.0, Reason(0)),  # a glitch
+        (0.0, 2.0, 0.0, Reason.VELOCITY_REFUSED),
+        (0.0, 1.0, 1.0, Reason.VELOCITY_REFUSED),  # it was led up to
+        (-0.5, 0.0, 1.0, Reason(0)),  # one was used since
+    ],
+)
+def test_a_velocity_that_is_refused_is_a_reason_the_second_time(since, refusals, is_gradual, found):
+    x = aged([Aid.VELOCITY], 0.2)
+    x.refused_t[Aid.VELOCITY], x.is_gradual = NOW + 1e9 * since, is_gradual
+    x.run[Aid.VELOCITY].n, x.run[Aid.VELOCITY].t0 = refusals, NOW
+    assert reasons(x) == found
 
 
 def test_a_heading_that_never_was_is_not_missed():
