@@ -82,7 +82,7 @@ def levelled(true: np.ndarray, bias: np.ndarray, at: tuple[float, ...] | None = 
     noise = np.random.default_rng(1).normal(0.0, 0.02, (100, 3))
     for one in noise - noise.mean(axis=0):
         x.t += 1e7
-        x.accel[:], x.gyro[:] = up_b + bias + one, 0.01 * one
+        x.accel[:], x.gyro[:] = up_b + bias + one, 0.005 + 0.01 * one
         load().rest.add_to_window(x)
     if at is not None:
         refer(x, so3.rotate(so3.conjugate(true), np.array(at)), np.arctan2(at[1], at[0]))
@@ -110,6 +110,14 @@ def test_tilt_is_correlated_with_the_bias_that_it_was_levelled_by(seed):
     assert np.diag(P)[:2] == pytest.approx(tilt, rel=2e-2)  # and a little for the noise
     assert (np.diag(P)[:2] > tilt).all()
     assert is_covariance(x)
+
+
+def test_how_quiet_rest_is_is_learnt():
+    x = levelled(so3.exp(np.array([0.1, -0.2, 2.0])), np.zeros(3))
+    noise = np.random.default_rng(1).normal(0.0, 0.02, (100, 3))
+    variance = noise.var(axis=0).sum()
+    assert x.rest_accel == pytest.approx(variance, rel=1e-6)
+    assert x.rest_gyro == pytest.approx(0.01**2 * variance, rel=1e-6)
 
 
 def test_a_heading_makes_yaw_known_and_without_one_it_is_not():
@@ -243,17 +251,36 @@ def test_the_field_of_the_place_shows_the_turn_about_a_leaning_force(wrong):
     axis /= np.linalg.norm(axis)
     w.pair.n[:] = axis
     x.q_nb[:] = so3.multiply(so3.exp(wrong * axis), true)
-    load().align.turn_to_field(x, w, w.pair)
+    variance = load().align.turn_to_field(x, w, w.pair)
+    # what moves the field as far as an error of its azimuth does
+    ratio = np.linalg.norm(np.cross(DOWN, field)) / np.linalg.norm(np.cross(axis, field))
+    assert variance == pytest.approx(2.0 * (0.02 * ratio) ** 2)
     error = so3.log(so3.multiply(np.array(x.q_nb), so3.conjugate(true)))
     np.testing.assert_allclose(error, 0.0, atol=1e-12)
 
 
-def test_a_running_filter_that_levels_again_keeps_its_velocity_and_yaw_s_slow_error():
+@pytest.mark.parametrize("north", [True, False])
+@pytest.mark.parametrize(("spread", "doubt"), [(0.0, 1.0), (0.5, None), (50.0, 300.0)])
+def test_vibration_raises_the_doubt_that_a_flight_begins_with(north, spread, doubt):
+    """As a slow wave of a fifth of it, which pushes to one side for 1.6 s."""
+    x, w, _ = flown(2.0, north=north, accel=3.0 if north else 0.02)
+    x.alignment.rest.n, x.alignment.rest.accel2[2] = 10.0, 10.0 * spread**2
+    x.doubt = 1.0
+    # a large spread may leave no attitude to begin with, if nothing gives north
+    is_found = load().align.level_in_motion(x, settings(), w)
+    assert is_found == north
+    if x.mode == Mode.ATTITUDE:
+        pushed = 1.6 * (0.2 * spread / settings().accel_noise) ** 2
+        assert x.doubt == pytest.approx(pushed if doubt is None else doubt)
+
+
+def test_a_running_filter_that_levels_again_keeps_its_velocity():
     x, w, true = flown(2.0, north=True)
-    x.mode, x.heading_offset = Mode.NAVIGATE, 0.3
+    x.mode, x.heading_offset, x.P[E_HEADING][E_HEADING] = Mode.NAVIGATE, 0.3, 1e-6
     x.vel_n[:], x.P[E_VEL][E_VEL] = [5.0, 1.0, 0.0], 0.3
     assert load().align.level_again(x, settings(), w)
     assert (list(x.vel_n), x.P[E_VEL][E_VEL], x.heading_offset) == ([5.0, 1.0, 0.0], 0.3, 0.0)
     error = so3.log(so3.multiply(np.array(x.q_nb), so3.conjugate(true)))
     np.testing.assert_allclose(error, 0.0, atol=5e-3)
     assert x.P[E_ATT + 2][E_ATT + 2] == pytest.approx(np.pi**2 / 3.0, rel=1e-3)
+    assert x.P[E_HEADING][E_HEADING] == pytest.approx(0.02**2)
