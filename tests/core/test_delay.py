@@ -121,6 +121,40 @@ def test_a_gain_depends_on_tilt_and_bias_as_the_turned_force_does():
     assert not H[E_BG : E_BG + 3].any()
 
 
+def a_gain(z: float) -> tuple[State, Observation]:
+    """Return the state after a gain north that is off by some velocity, and its observation."""
+    x, o = begun(), Observation()
+    x.gain.begin.t, x.gain.end.t, x.gain.var = 0.0, 1e9, 0.02
+    x.gain.end.until[0], x.gain.end.vel_n[0] = 2.0, 2.0 + z
+    x.gain.begin.accel_n[0], x.gain.end.accel_n[0] = -1.0, 2.0
+    load().delay.compare_gains(x, settings(), o)
+    return x, o
+
+
+@pytest.mark.parametrize(("z", "is_used"), [(0.5, True), (-0.5, True), (9.0, False)])
+def test_a_gain_that_no_delay_explains_teaches_nothing_but_its_noise(z, is_used):
+    x, _ = a_gain(z)
+    # more was gained by the receiver while it accelerated: it is less late
+    assert np.sign(x.gnss_delay) == (-np.sign(z) if is_used else 0.0)
+    assert (x.P[E_DELAY][E_DELAY] < STD**2) == is_used
+    assert x.gain.var < 9.0 * 0.02 * 2.0
+
+
+def test_a_delay_that_was_corrected_meanwhile_makes_no_gain():
+    """The begin was looked up by the delay of then; on the way it accelerated steadily."""
+    found = []
+    for delay in (0.0, 0.05):
+        x, o, accel = begun(), Observation(), np.array([2.0, -1.0])
+        x.gain.begin.t, x.gain.end.t, x.gain.var = 0.0, 1e9, 0.02
+        x.gain.begin.delay, x.gain.begin.until[:] = delay, -delay * accel
+        x.gain.begin.accel_n[:] = x.gain.end.accel_n[:] = accel
+        x.gain.end.until[:] = accel
+        x.gain.end.vel_n[:] = [2.3, -0.9]
+        load().delay.compare_gains(x, settings(), o)
+        found.append((o.z[0], o.H[0][E_ATT + 2]))
+    np.testing.assert_allclose(found, [(0.1, 2.0)] * 2, rtol=1e-9)
+
+
 def test_gains_are_counted_between_fixes_at_least_0_7_s_apart():
     x, k, fix, o = begun(), settings(), Fix(), Observation()
 
@@ -184,6 +218,9 @@ def test_a_reported_delay_that_nobody_has_set_is_a_guess():
     x, k = begun(), settings()
     load().delay.take_told(x, k, k.unset_delay)
     assert (x.gnss_delay, x.P[E_DELAY][E_DELAY]) == pytest.approx((0.12, STD**2))
+    y = State()
+    load().delay.take_told(y, k, 0.15)  # one that is not estimated
+    assert (y.gnss_delay, y.P[E_DELAY][E_DELAY]) == (pytest.approx(0.05), 0.0)
     k.told_delay_std = -1.0  # the user has configured one
     load().delay.take_told(x, k, 0.3)
     assert x.gnss_delay == pytest.approx(0.12)

@@ -80,6 +80,15 @@ def test_a_receiver_is_no_better_than_its_least_sigma_and_an_unknown_one_is_usua
     assert fix.std[2] == k.gnss_floor[2]
 
 
+@pytest.mark.parametrize(("stated", "factor"), [(0.05, 1.0), (0.09, 1.0), (0.3, 3.0)])
+def test_a_poor_velocity_has_a_larger_slow_error(stated, factor):
+    """In proportion, above 0.1 m/s."""
+    x, k = navigating(), settings()
+    k.learn_noise, x.white_share[2] = 0.0, 1.0
+    load().fix.read_fix(x, k, Fix(), a_row(std=(1.0, 1.0, stated)))
+    assert x.gnss_vel_offset_var == pytest.approx((factor * k.gnss_vel_slow_std) ** 2)
+
+
 @pytest.mark.parametrize(("share", "is_bound"), [(1.04, False), (1.06, True), (9.0, True)])
 def test_a_slow_error_is_brought_down_to_its_level_with_what_depends_on_it(share, is_bound):
     x, axis, level = navigating(), 1, 0.5
@@ -126,26 +135,30 @@ def test_the_place_of_the_first_fix_makes_magnetic_north_no_reference():
         load().fix.learn_field(x, row)
         assert (x.field.declination, x.field.inclination, x.field.strength) == (0.05, 1.1, 0.48)
         assert (x.has_yaw == 1.0) == stays
+        # another estimate's heading is used after 5 s without a compass: in one more
+        assert x.mag_t == (NOW if stays else NOW - 4e9)
         x.has_yaw = 1.0
         load().fix.learn_field(x, row)
         assert x.has_yaw == 1.0  # the next one changes nothing
 
 
 @pytest.mark.parametrize(
-    ("velocity_age", "off", "way", "expected"),
+    ("velocity_age", "off", "way", "std", "expected"),
     [
-        (2.1, 60.0, 0.0, 4.0),  # no velocity: ours may have drifted anywhere
-        (1.9, 60.0, 0.0, 30.0),
-        (1.9, 6.0, 0.0, 12.0),  # at half a metre a second
-        (1.9, 1.5, 0.0, 4.0),
-        (1.9, 60.0, 55.0, 2.0),  # where the velocity led that was refused
+        (2.1, 60.0, 0.0, 0.1, 4.0),  # no velocity: ours may have drifted anywhere
+        (1.9, 60.0, 0.0, 0.1, 30.0),
+        (1.9, 6.0, 0.0, 0.1, 12.0),  # at half a metre a second
+        (1.9, 1.5, 0.0, 0.1, 4.0),
+        (1.9, 60.0, 0.0, 4.0, 30.0),
+        (1.9, 60.0, 0.0, 4.5, 4.0),  # within ten of our own sigmas
+        (1.9, 60.0, 55.0, 0.1, 2.0),  # where the velocity led that was refused
     ],
 )
-def test_a_jump_is_refused_for_as_long_as_drift_would_take(velocity_age, off, way, expected):
+def test_a_jump_is_refused_for_as_long_as_drift_would_take(velocity_age, off, way, std, expected):
     x, k, w = navigating(), settings(), Scratch()
     k.timeout_pos = 4.0
     x.used_t[Aid.VELOCITY] = NOW - velocity_age * 1e9
-    x.P[E_POS][E_POS] = x.P[E_POS + 1][E_POS + 1] = 0.01
+    x.P[E_POS][E_POS] = x.P[E_POS + 1][E_POS + 1] = std**2
     w.observation.z[:2] = 0.6 * off, -0.8 * off
     x.refused_way[:2] = 0.6 * way, -0.8 * way
     assert load().fix.position_patience(x, k, w) == expected
@@ -166,11 +179,17 @@ def hover(
 
 def test_a_fix_where_we_are_is_fused_and_makes_position_more_certain():
     x = navigating()
+    x.refused_way[:2] = 5.0, -5.0
+    for e in range(E_GNSS, E_GNSS + 3):
+        x.P[e][e] = 30.0
     hover(x, 1, (0.0, 0.0, 0.0), wander=0.1)
     for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY):
         assert (x.count[aid][Verdict.FUSED], x.used_t[aid]) == (1.0, x.t)
     assert x.P[E_POS][E_POS] < 0.1
     assert x.P[E_VEL][E_VEL] < 1e-3
+    # the slow error is no larger than what is stated
+    assert (np.diag(array(x.P))[E_GNSS : E_GNSS + 3] < np.square([1.2, 1.2, 2.0])).all()
+    assert list(x.refused_way[:2]) == [0.0, 0.0]
     assert is_covariance(x)
 
 
@@ -188,14 +207,30 @@ def test_a_jump_that_stays_is_followed_at_last_and_one_that_jumps_on_is_not():
     assert x.resets == 0.0
 
 
-def test_on_the_ground_a_receiver_that_settles_is_followed_after_three_seconds():
+def test_a_height_that_stays_is_followed_after_its_time_out():
+    x, fixes = navigating(), round(5.0 * settings().timeout_height)
+    hover(x, fixes, (0.0, 0.0, -40.0), wander=0.1)
+    assert (x.resets, x.count[Aid.HEIGHT][Verdict.FUSED]) == (0.0, 0.0)
+    hover(x, 2, (0.0, 0.0, -40.0), wander=0.1)
+    assert (x.resets, x.reset_reason) == (1.0, Reset.HEIGHT)
+    assert x.pos_n[2] == pytest.approx(-40.0, abs=1.0)
+    assert abs(x.pos_n[0]) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"), [((40.0, 0.0, 0.0), Reset.POSITION), ((0.0, 0.0, -40.0), Reset.HEIGHT)]
+)
+def test_on_the_ground_a_receiver_that_settles_is_followed_after_three_seconds(place, reason):
     for armed, resets in ((1.0, 0.0), (0.0, 1.0)):
         x = navigating()
-        x.armed, x.at_rest = armed, 1.0
-        hover(x, 14, (40.0, 0.0, 0.0), wander=0.1)
+        x.armed, x.at_rest, x.has_baro = armed, 1.0, 1.0
+        hover(x, 14, place, wander=0.1)
         assert x.resets == 0.0
-        hover(x, 2, (40.0, 0.0, 0.0), wander=0.1)
+        hover(x, 2, place, wander=0.1)
         assert x.resets == resets
+    assert x.reset_reason == reason
+    # the barometer's offset was found by the height before
+    assert x.has_baro == (reason == Reset.POSITION)
 
 
 def test_wild_velocities_start_the_filter_over_only_if_positions_contradict_us_as_well():
