@@ -260,8 +260,8 @@ def test_the_field_of_the_place_shows_the_turn_about_a_leaning_force(wrong):
 
 
 @pytest.mark.parametrize("north", [True, False])
-@pytest.mark.parametrize(("spread", "doubt"), [(0.0, 1.0), (0.5, None), (50.0, 300.0)])
-def test_vibration_raises_the_doubt_that_a_flight_begins_with(north, spread, doubt):
+@pytest.mark.parametrize(("spread", "scale"), [(0.0, 1.0), (0.5, None), (50.0, 300.0)])
+def test_vibration_raises_the_inertial_noise_scale_that_a_flight_begins_with(north, spread, scale):
     """As a slow wave of a fifth of it, which pushes to one side for 1.6 s."""
     x, w, _ = flown(2.0, north=north, accel=3.0 if north else 0.02)
     x.alignment.rest.n, x.alignment.rest.accel2[2] = 10.0, 10.0 * spread**2
@@ -271,7 +271,7 @@ def test_vibration_raises_the_doubt_that_a_flight_begins_with(north, spread, dou
     assert is_found == north
     if x.mode == Mode.ATTITUDE:
         pushed = 1.6 * (0.2 * spread / settings().accel_noise) ** 2
-        assert x.doubt == pytest.approx(pushed if doubt is None else doubt)
+        assert x.doubt == pytest.approx(pushed if scale is None else scale)
 
 
 def test_a_running_filter_that_levels_again_keeps_its_velocity():

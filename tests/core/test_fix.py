@@ -233,7 +233,7 @@ def test_on_the_ground_a_receiver_that_settles_is_followed_after_three_seconds(p
     assert x.has_baro == (reason == Reset.POSITION)
 
 
-def test_wild_velocities_start_the_filter_over_only_if_positions_contradict_us_as_well():
+def test_velocity_faults_start_the_filter_over_only_if_positions_contradict_us_too():
     assert all(hover(navigating(), 200, (0.0, 0.0, 0.0), speed=30.0))
     found = hover(navigating(), 200, (400.0, 0.0, 0.0), wander=50.0, speed=30.0)
     # once none has been used for the time-out, and all were refused for half of it

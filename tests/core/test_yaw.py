@@ -62,9 +62,9 @@ def yaw(x: State) -> float:
 
 
 @pytest.mark.parametrize(
-    ("choice", "heard", "used"),
+    ("choice", "ages", "used"),
     [
-        # seconds since each source, and a field, were heard; which sources are used then
+        # seconds since each source, and a field, came; which sources are used then
         (HeadingChoice.AUTO, (0, 0, 0, 9), [True, False, False]),
         (HeadingChoice.AUTO, (4.9, 0, 0, 9), [True, False, False]),
         (HeadingChoice.AUTO, (5.1, 0, 0, 9), [True, True, False]),
@@ -75,18 +75,18 @@ def yaw(x: State) -> float:
         (HeadingChoice.AUTOPILOT, (0, 0, 0, 0), [False, False, True]),
     ],
 )
-def test_the_best_source_that_is_not_silent_is_used_or_the_configured_one(choice, heard, used):
+def test_the_best_source_that_is_not_silent_is_used_or_the_configured_one(choice, ages, used):
     k = settings()
     k.heading = choice
     for source in HeadingSource:
         x = flown()
-        x.heading_t[:] = [NOW - 1e9 * age for age in heard[:3]]
-        x.mag_t = NOW - 1e9 * heard[3]
+        x.heading_t[:] = [NOW - 1e9 * age for age in ages[:3]]
+        x.mag_t = NOW - 1e9 * ages[3]
         assert load().yaw.is_heading_used(x, k, int(source)) == used[source]
         assert x.heading_t[source] == NOW
         if choice == HeadingChoice.AUTO and source == HeadingSource.GNSS:
-            x.heading_t[0] = NOW - 1e9 * heard[0]
-            assert load().yaw.is_field_used(x, k) == (heard[0] >= 5.0)
+            x.heading_t[0] = NOW - 1e9 * ages[0]
+            assert load().yaw.is_field_used(x, k) == (ages[0] >= 5.0)
 
 
 def test_while_levelling_a_heading_is_kept_and_moves_nothing():
