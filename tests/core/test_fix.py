@@ -20,7 +20,8 @@ from ekf_companion.core.memory.scratch import Fix, GnssRow, Observation, Scratch
 from ekf_companion.core.memory.state import State
 from ekf_companion.core.settings.from_settings import parameters
 from ekf_companion.core.settings.settings import FilterSettings
-from ekf_companion.nav import earth
+from ekf_companion.nav import earth, so3
+from ekf_companion.nav.measurements import GnssFlag
 from tests.core.interpreted import load
 from tests.core.states import array, copy
 from tests.core.test_slow_error import is_covariance
@@ -238,6 +239,59 @@ def test_velocity_faults_start_the_filter_over_only_if_positions_contradict_us_t
     found = hover(navigating(), 200, (400.0, 0.0, 0.0), wander=50.0, speed=30.0)
     # once none has been used for the time-out, and all were refused for half of it
     assert 0.2 * found.index(False) == pytest.approx(settings().timeout_vel, abs=0.3)
+
+
+def test_a_vehicle_that_moved_on_while_we_stood_resets_velocity_and_position():
+    x, k, w = navigating(), settings(), Scratch()
+    rng, vel_n = np.random.default_rng(3), np.array([10.0, -3.0, 0.0])
+    for n in range(round(5.0 * k.timeout_vel) + 1):
+        assert x.resets == 0.0
+        x.t += 0.2e9
+        row = a_row(0.2 * n * vel_n, vel_n + 0.03 * rng.standard_normal(3))
+        assert load().fix.fuse_fix(x, k, w, row)
+    assert x.reset_reason == Reset.VELOCITY
+    np.testing.assert_allclose(x.vel_n, vel_n, atol=0.2)
+
+
+def test_a_yaw_that_the_motion_contradicts_is_reset_to_the_bank_s():
+    x, k, w = navigating(), settings(), Scratch()
+    b = x.yaw_bank
+    b.q_sb[:], b.yaw, b.yaw_std, b.good = x.q_nb, 2.0, 0.05, 5.0
+    b.nis, b.failing_t, b.gyro_bias_std, b.tilt_std = 20.0, NOW - 2e9, 0.01, 0.02
+    x.accel[:] = [0.0, 0.0, -k.gravity]
+    load().fix.read_fix(x, k, w.fix, a_row(vel_n=(8.0, 0.0, 0.0), std=(1.0, 1.5, 0.1)))
+    assert load().fix.correct_by_fix(x, k, w, True)
+    assert (x.resets, x.reset_reason, b.repairs, x.doubt) == (1.0, Reset.MOTION, 1.0, 1.0)
+    assert so3.to_euler(np.array(x.q_nb))[2] == pytest.approx(2.0)
+    assert x.vel_n[0] == pytest.approx(8.0)
+
+
+def test_the_interval_of_the_receiver_is_that_between_its_last_two_fixes():
+    x = navigating()
+    x.fix_t, x.fix_dt = -1e18, 0.0
+    hover(x, 1, (0.0, 0.0, 0.0), wander=0.1)
+    assert (x.fix_t, x.fix_dt) == (x.t, 0.0)
+    # its velocity is kept, to learn how late it is
+    assert x.gain.end.t == x.t
+    x.t += 0.8e9
+    hover(x, 1, (0.0, 0.0, 0.0), wander=0.1)
+    assert x.fix_dt == pytest.approx(1.0)
+
+
+def test_fixes_of_a_frozen_or_a_superfluous_receiver_are_counted_and_not_fused():
+    x, k, w = navigating(), settings(), Scratch()
+    row = a_row(vel_n=(3.0, 0.0, 0.0))
+    x.vel_n[0] = 3.0
+    for _ in range(4):
+        x.t += 0.2e9
+        load().fix.fuse_fix(x, k, w, row)
+    assert x.count[Aid.POSITION][Verdict.SUSPECT] == 2.0
+    row.flags = float(GnssFlag.SECOND)
+    fixed = x.fix_t
+    x.t += 0.2e9
+    load().fix.fuse_fix(x, k, w, row)
+    assert x.count[Aid.POSITION][Verdict.SUPERSEDED] == 1.0
+    assert x.fix_t == fixed
 
 
 @pytest.mark.parametrize(("loser", "verdict"), [(Voice.NONE, "FUSED"), (Voice.HEIGHT, "SUSPECT")])
