@@ -94,6 +94,17 @@ def test_what_shows_no_delay_moves_none(velocity, sampled):
     assert x.P[E_DELAY][E_DELAY] == pytest.approx(STD**2)
 
 
+@pytest.mark.parametrize(("density", "share"), [(0.0, 1.0), (0.046875, 0.5), (0.1, 0.0)])
+def test_of_a_change_of_acceleration_the_noise_of_the_samples_is_no_knowledge(density, share):
+    """An acceleration is a mean over 0.12 s; the change is a mean over eight pairs of fixes."""
+    x = begun()
+    x.noise[3:] = [density] * 3
+    x.gain.begin.accel_n[:], x.gain.end.accel_n[:] = [1.0, 2.0], [4.0, -2.0]
+    assert load().delay.true_share(x) == pytest.approx(share)
+    x.gain.change, x.gain.begin.accel_n[:] = 0.0, [4.0, -2.0]
+    assert load().delay.true_share(x) == 0.0
+
+
 def test_the_noise_of_gains_is_learnt_whatever_the_receiver_states():
     """That of two fixes, per axis."""
     found = [fly(60.0, 0.0, seed=seed, noise=0.3).gain.var for seed in range(4)]
