@@ -6,7 +6,6 @@ import pytest
 from ekf_companion.core.memory.enums import (
     E_GNSS,
     E_POS,
-    E_VEL,
     Aid,
     Mode,
     N,
@@ -82,8 +81,7 @@ def test_a_receiver_is_no_better_than_its_least_sigma_and_an_unknown_one_is_usua
 
 
 @pytest.mark.parametrize(("stated", "factor"), [(0.05, 1.0), (0.09, 1.0), (0.3, 3.0)])
-def test_a_poor_velocity_has_a_larger_slow_error(stated, factor):
-    """In proportion, above 0.1 m/s."""
+def test_a_velocity_worse_than_0_1_m_s_has_a_larger_slow_error(stated, factor):
     x, k = navigating(), settings()
     k.learn_noise, x.white_share[2] = 0.0, 1.0
     load().fix.read_fix(x, k, Fix(), a_row(std=(1.0, 1.0, stated)))
@@ -187,7 +185,6 @@ def test_a_fix_where_we_are_is_fused_and_makes_position_more_certain():
     for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY):
         assert (x.count[aid][Verdict.FUSED], x.used_t[aid]) == (1.0, x.t)
     assert x.P[E_POS][E_POS] < 0.1
-    assert x.P[E_VEL][E_VEL] < 1e-3
     # the slow error is no larger than what is stated
     assert (np.diag(array(x.P))[E_GNSS : E_GNSS + 3] < np.square([1.2, 1.2, 2.0])).all()
     assert list(x.refused_way[:2]) == [0.0, 0.0]
@@ -294,10 +291,10 @@ def test_fixes_of_a_frozen_or_a_superfluous_receiver_are_counted_and_not_fused()
     assert x.fix_t == fixed
 
 
-@pytest.mark.parametrize(("loser", "verdict"), [(Voice.NONE, "FUSED"), (Voice.HEIGHT, "SUSPECT")])
-def test_a_height_that_contradicts_the_others_is_not_fused(loser, verdict):
+def test_a_height_that_contradicts_the_others_is_not_fused():
     x, k, w = navigating(), settings(), Scratch()
     load().fix.read_fix(x, k, w.fix, a_row())
-    x.voices.loser = loser
+    x.voices.loser = Voice.HEIGHT
     load().fix.fuse_height(x, k, w)
-    assert x.count[Aid.HEIGHT][Verdict[verdict]] == 1.0
+    assert x.count[Aid.HEIGHT][Verdict.SUSPECT] == 1.0
+    assert x.count[Aid.HEIGHT][Verdict.FUSED] == 0.0
