@@ -27,7 +27,14 @@ NOW = 1000e9
 def navigating() -> State:
     """Return a state of which nothing is to be said against; fixes come five times a second."""
     x = a_state(1)
-    x.t, x.mode, x.dt, x.fix_dt, x.has_yaw, x.has_baro = NOW, Mode.NAVIGATE, 0.01, 0.2, 1.0, 1.0
+    x.t, x.mode, x.dt, x.fix_dt, x.has_yaw, x.has_aid[Aid.BARO] = (
+        NOW,
+        Mode.NAVIGATE,
+        0.01,
+        0.2,
+        1.0,
+        1.0,
+    )
     x.azimuth, x.fix_t, x.raw_fix_t = Azimuth.FIELD, NOW, NOW
     for aid in range(AIDS):
         x.used_t[aid], x.refused_t[aid] = NOW, -1e18
@@ -221,7 +228,7 @@ def test_what_is_not_known_yet_is_nan():
     assert np.isnan(out.lla).all()
     for name in numbers[1:]:
         assert np.isnan(getattr(out, name)).tolist() == [True, True, False], name
-    x.has_baro = 0.0
+    x.has_aid[Aid.BARO] = 0.0
     assert np.isnan([list(getattr(write(x), name)) for name in numbers]).all()
     assert not np.isnan(write(x).q_nb).any()
 

@@ -221,14 +221,14 @@ def test_a_height_that_stays_is_followed_after_its_time_out():
 def test_on_the_ground_a_receiver_that_settles_is_followed_after_three_seconds(place, reason):
     for armed, resets in ((1.0, 0.0), (0.0, 1.0)):
         x = navigating()
-        x.armed, x.at_rest, x.has_baro = armed, 1.0, 1.0
+        x.armed, x.at_rest, x.has_aid[Aid.BARO] = armed, 1.0, 1.0
         hover(x, 14, place, wander=0.1)
         assert x.resets == 0.0
         hover(x, 2, place, wander=0.1)
         assert x.resets == resets
     assert x.reset_reason == reason
     # the barometer's offset was found by the height before
-    assert x.has_baro == (reason == Reset.POSITION)
+    assert x.has_aid[Aid.BARO] == (reason == Reset.POSITION)
 
 
 def test_velocity_faults_start_the_filter_over_only_if_positions_contradict_us_too():

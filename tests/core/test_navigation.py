@@ -187,7 +187,11 @@ def test_a_height_is_kept_where_the_receiver_s_climb_is_a_fault(mode, is_rushing
     x, height = flown(mode), -33.0
     with_bank(x)
     x.voices.is_rushing, x.pos_n[2], x.P[E_POS + 2][E_POS + 2] = is_rushing, height, 4.0
+    pos_n, vel_n = np.array(x.pos_n), np.array(x.vel_n)
     load().navigation.start_from_yaw_bank(x, settings(), scratch())
+    if mode == Mode.NAVIGATE:
+        np.testing.assert_allclose(x.moved.pos_n, np.array(x.pos_n) - pos_n, atol=1e-9)
+        np.testing.assert_allclose(x.moved.vel_n, np.array(x.vel_n) - vel_n, atol=1e-9)
     assert (x.pos_n[2] == height) == is_kept
     assert (x.P[E_POS + 2][E_POS + 2] == 4.0) == is_kept
 

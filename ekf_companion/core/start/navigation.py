@@ -103,6 +103,11 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         # the bank has its own
         set_variance(x, E_BG + i, 0.0)
     x.alignment.reference.is_known = 0.0
+    if x.mode == MODE_NAVIGATE:
+        # it begins at zero, and what it is set to from there is no jump
+        for i in range(3):
+            x.moved.pos_n[i] -= x.pos_n[i]
+            x.moved.vel_n[i] -= x.vel_n[i]
     align.start_filter(x, k, w, x.yaw_bank.tilt_std, x.yaw_bank.gyro_bias_std)
     forget_gain(x)
     x.has_yaw = 1.0
