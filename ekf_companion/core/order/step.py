@@ -162,4 +162,6 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         if v.vehicle.tells_delay == 1.0:
             delay.take_told(x, k, v.vehicle.gnss_delay)
     else:
-        aid.fuse_aid(x, k, w, dispatch.aid_of(cython.cast(cython.Py_ssize_t, event.kind)), v.all)
+        which = dispatch.aid_of(cython.cast(cython.Py_ssize_t, event.kind))
+        if which >= 0:
+            aid.fuse_aid(x, k, w, which, v.all)
