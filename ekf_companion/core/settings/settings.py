@@ -252,11 +252,9 @@ class BaroSettings:
 class RangeFinderSettings:
     """A range finder that looks down: the height of the ground below is an offset that walks."""
 
-    use: Annotated[bool, Setting(reload=True, param=Param(15, "EC_RNG_USE"))] = True
+    use: Annotated[bool, Setting(reload=True)] = True
     """Use the range finder. false over water or crops that it looks into."""
-    std: Annotated[
-        Positive, Setting("m", reload=True, param=Param(16, "EC_RNG_NSE", 0.01, 50.0))
-    ] = 0.1
+    std: Annotated[Positive, Setting("m", reload=True)] = 0.1
     """White noise of the range, if the sensor states no more; 2 % of the range are added, and the
     slope of the ground where the vehicle is tilted."""
     walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.2
