@@ -46,23 +46,27 @@ CHARTS_FILES = {
 
 
 def declare() -> list[str]:
-    """Write the .pxd files that are made, where they have changed; return what is compiled."""
+    """Write what is made: the dispatch and .pxd files; return the modules that are compiled."""
     sys.path.insert(0, str(ROOT))
+    from ekf_companion.core.memory import dispatch
     from ekf_companion.core.memory.declare import pxd
     from ekf_companion.core.memory.signatures import kernel_modules, signatures
 
+    write(source_of("core.order.dispatch"), dispatch.source())
     kernel = kernel_modules()
-
-    made = {f"memory.{name}": "" for name in DECLARED}
-    for name in made:
-        made[name] = pxd(importlib.import_module(f"ekf_companion.core.{name}"))
+    for name in DECLARED:
+        module = importlib.import_module(f"ekf_companion.core.memory.{name}")
+        write(source_of(f"core.memory.{name}").with_suffix(".pxd"), pxd(module))
     for name in set(kernel) - BY_HAND:
-        made[name] = signatures(name, source_of(f"core.{name}").read_text(encoding="utf-8"))
-    for name, text in made.items():
-        path = source_of(f"core.{name}").with_suffix(".pxd")
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")
+        path = source_of(f"core.{name}")
+        write(path.with_suffix(".pxd"), signatures(name, path.read_text(encoding="utf-8")))
     return kernel
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file that is made, unless it is so already."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
 
 
 def source_of(module: str) -> Path:

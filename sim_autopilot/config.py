@@ -123,6 +123,22 @@ class BaroConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RangeFinderConfig:
+    """A range finder that looks down at level ground, which home stands on."""
+
+    fitted: bool = False
+    """Whether there is one: DISTANCE_SENSOR, once it is asked for."""
+    noise: NotNegative = 0.05
+    """One sigma of the white error, m."""
+    lowest: Positive = 0.1
+    """m."""
+    highest: Positive = 40.0
+    """m."""
+    mounted: Positive = 0.15
+    """Above the ground while the vehicle stands, m."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateConfig:
     """Errors of the autopilot's own estimate: slow, one sigma."""
 
@@ -183,6 +199,7 @@ class SimConfig:
     compass: CompassConfig = field(default_factory=CompassConfig)
     baro: BaroConfig = field(default_factory=BaroConfig)
     spare: SpareConfig = field(default_factory=SpareConfig)
+    range_finder: RangeFinderConfig = field(default_factory=RangeFinderConfig)
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     streams: StreamConfig = field(default_factory=StreamConfig)
     parameters: dict[str, float] = field(default_factory=dict)

@@ -100,6 +100,8 @@ class Cycle(NamedTuple):
     """Of the other magnetometers, with ``mag_b``, gauss."""
     spare_fix: Fix | None = None
     """Of the other receiver; None: nothing new."""
+    range_m: float | None = None
+    """To the ground along the body's down axis; None: there is no range finder."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -120,6 +122,8 @@ class Flight:
     spare_mag: tuple[sensors.MagData, ...]
     spare_gnss: sensors.GnssData | None
     baro: sensors.BaroData
+    range_white: Array
+    """Unit white noise of the range finder, shape (n,); (0,) without one."""
     estimate_error: Array
     """Of position, velocity, roll, pitch and yaw, shape (n, 9)."""
 
@@ -177,6 +181,7 @@ class Flight:
             spare_mag=tuple(spare_mag),
             spare_gnss=spare_gnss,
             baro=sensors.baro(trajectory, config.baro, rng["baro"], baro_t),
+            range_white=rng["range"].standard_normal(count * config.range_finder.fitted),
             estimate_error=sensors.slow_errors(rng["estimate"], count, sigmas, period, e.time),
         )
 
@@ -228,10 +233,11 @@ class Flight:
                 _motions(self._estimate(truth, self.estimate_error[part])),
                 is_armed,
                 is_landed,
+                self._ranges(truth, part),
                 strict=True,
             )
             for number, row in enumerate(rows, start):
-                t_s, gyro, accel, gyro_bias, accel_bias, true, estimate, armed, landed = row
+                t_s, gyro, accel, gyro_bias, accel_bias, true, estimate, armed, landed, far = row
                 now_ns = self.to_ns(t_s)
                 yield Cycle(
                     number=number,
@@ -250,12 +256,21 @@ class Flight:
                     accel_bias_b=tuple(accel_bias),
                     spare_mag_b=spare_mag.get(number, ()),
                     spare_fix=spare_fixes.get(number),
+                    range_m=far,
                 )
 
     def _fixes(self, data: sensors.GnssData) -> Iterator[Fix]:
         columns = (data.t, data.lat, data.lon, data.alt, data.vel_n, data.yaw)
         for t, lat, lon, alt, vel_n, yaw in zip(*(c.tolist() for c in columns), strict=True):
             yield Fix(self.to_ns(t), lat, lon, alt, tuple(vel_n), yaw)
+
+    def _ranges(self, truth: Truth, part: slice) -> list[float] | list[None]:
+        if not len(self.range_white):
+            return [None] * len(truth.t)
+        height = truth.alt - self.config.home.alt
+        config, white = self.config.range_finder, self.range_white[part]
+        found: list[float] = sensors.ranges(config, white, height, truth.q_nb).tolist()
+        return found
 
     def _ground_contact(self, truth: Truth) -> tuple[list[bool], list[bool]]:
         """Return whether it stands on the ground, and whether it is armed."""

@@ -169,7 +169,11 @@ class Streams:
 
 
 def _spares(config: SimConfig) -> tuple[str, ...]:
-    """Return the messages of the sensors beside the first of their kind."""
+    """Return the messages of sensors that not every vehicle has."""
     spare = config.spare
     compasses = ("SCALED_IMU2", "SCALED_IMU3")[: spare.compasses]
-    return (*compasses, *("GPS2_RAW",) * spare.receivers)
+    return (
+        *compasses,
+        *("GPS2_RAW",) * spare.receivers,
+        *("DISTANCE_SENSOR",) * config.range_finder.fitted,
+    )

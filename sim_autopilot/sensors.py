@@ -16,7 +16,13 @@ from pygeomag import GeoMag
 from ekf_companion.errors import part_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
-from sim_autopilot.config import BaroConfig, CompassConfig, GnssConfig, ImuConfig
+from sim_autopilot.config import (
+    BaroConfig,
+    CompassConfig,
+    GnssConfig,
+    ImuConfig,
+    RangeFinderConfig,
+)
 from sim_autopilot.truth import Trajectory
 
 Value = TypeVar("Value", float, npt.NDArray[np.float64])
@@ -90,7 +96,17 @@ class BaroData:
 
 def generators(seed: int) -> dict[str, np.random.Generator]:
     """Return one generator for each source of noise; new ones are added at the end."""
-    names = ("imu", "gnss", "compass", "baro", "estimate", "compass 2", "compass 3", "gnss 2")
+    names = (
+        "imu",
+        "gnss",
+        "compass",
+        "baro",
+        "estimate",
+        "compass 2",
+        "compass 3",
+        "gnss 2",
+        "range",
+    )
     sequences = np.random.SeedSequence(seed).spawn(len(names))
     return dict(zip(names, map(np.random.default_rng, sequences), strict=True))
 
@@ -186,6 +202,16 @@ def baro(
     drift = config.drift * slow[:, 0]
     alt = trajectory.at(t).alt + drift + config.noise * rng.standard_normal(len(t))
     return BaroData(t=t, alt=alt, pressure=pressure(alt), drift=drift)
+
+
+def ranges(config: RangeFinderConfig, white: Array, height: Array, q_nb: Array) -> Array:
+    """Return what a range finder reads along the body's down axis over level ground, m.
+
+    ``height`` is that of the vehicle above where it stood, m; what is out of range reads the limit.
+    """
+    upright = np.maximum(1.0 - 2.0 * (q_nb[:, 1] ** 2 + q_nb[:, 2] ** 2), 1e-3)
+    found = (height + config.mounted) / upright + config.noise * white
+    return np.asarray(np.clip(found, config.lowest, config.highest))
 
 
 def pressure(alt: Value) -> Value:

@@ -111,6 +111,18 @@ def _scaled_pressure(config: SimConfig, cycle: Cycle) -> Fields:
     }
 
 
+def _distance_sensor(config: SimConfig, cycle: Cycle) -> Fields:
+    sensor = config.range_finder
+    return {
+        "time_boot_ms": _boot_ms(cycle),
+        "min_distance": round(sensor.lowest * 1e2),
+        "max_distance": round(sensor.highest * 1e2),
+        "current_distance": round((cycle.range_m or 0.0) * 1e2),
+        "orientation": 25,
+        "covariance": min(round((sensor.noise * 1e2) ** 2), 254),
+    }
+
+
 def _odometry(config: SimConfig, cycle: Cycle) -> Fields:
     """Return the autopilot's own estimate like PX4: only the diagonals are numbers."""
     estimate, e = cycle.estimate, config.estimate
@@ -236,5 +248,6 @@ BUILDERS: dict[str, Builder] = {
     "SCALED_IMU2": _scaled_imu,
     "SCALED_IMU3": _scaled_imu,
     "SCALED_PRESSURE": _scaled_pressure,
+    "DISTANCE_SENSOR": _distance_sensor,
 }
 """Messages that depend on a reading alone."""

@@ -5,7 +5,7 @@ A test changes the columns and writes them in each format: what becomes of them 
 
 import struct
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -65,6 +65,11 @@ class Rows:
     """m for each rad of latitude and longitude."""
     zero: Array
     """Of the first true position, m."""
+    alt: Array
+    """True altitude, m."""
+    range_ns: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    ranges: Array = field(default_factory=lambda: np.zeros(0))
+    """Of a range finder that looks down, m."""
 
     @classmethod
     def plan(cls, scenario="figure-eight", duration=60.0, seed=4):
@@ -110,6 +115,7 @@ class Rows:
             },
             scale=scale,
             zero=np.array([exact.lat[0], exact.lon[0]]) * scale,
+            alt=exact.alt,
         )
 
     def copy(self):
@@ -130,6 +136,16 @@ class Rows:
         """Drop the other inertial samples."""
         self.imu_ns, self.imu = self.imu_ns[mask], self.imu[mask]
         self.arrivals_ns[Kind.IMU] = self.arrivals_ns[Kind.IMU][mask]
+
+    def add_ranges(self, ground, rate=10.0, noise=0.05, seed=4):
+        """Add the ranges of a sensor over ground at this altitude, m."""
+        first, last = int(self.truth_ns[0]), int(self.truth_ns[-1])
+        self.range_ns = np.arange(first, last, round(1e9 / rate), dtype=np.int64)
+        at = np.searchsorted(self.truth_ns, self.range_ns)
+        exact = (self.alt[at] - ground) / self.down_b[at, 2]
+        noises = np.random.default_rng(seed).normal(0.0, noise, len(at))
+        self.ranges = np.maximum(exact + noises, 0.1)
+        self.arrivals_ns[Kind.RANGE] = self.range_ns.copy()
 
     def arrivals(self):
         """Yield (kind, index, time) in the order in which rows are written."""
@@ -158,10 +174,11 @@ def _csv(rows, kind, has_heading):
     names += ["gps_lat_deg", "gps_lon_deg", "gps_alt_m", "gps_vn_mps", "gps_ve_mps", "gps_vd_mps"]
     names += ["gps_std_h_m", "gps_std_v_m", "gps_std_vel_mps", "heading_deg"]
     names += [f"mag_{axis}_gauss" for axis in "xyz"] + ["baro_alt_m"]
+    names += ["range_m"] if len(rows.ranges) else []
     lines = [",".join(names)]
 
-    def line(t_ns, imu=("",) * 6, fix=("",) * 9, heading="", mag=("",) * 3, baro=""):
-        cells = [t_ns // 1000, *imu, *fix, heading, *mag, baro]
+    def line(t_ns, imu=("",) * 6, fix=("",) * 9, heading="", mag=("",) * 3, baro="", range_m=""):
+        cells = [t_ns // 1000, *imu, *fix, heading, *mag, baro, range_m][: len(names)]
         lines.append(",".join("" if one == "" or one != one else f"{one!r}" for one in cells))
 
     for what, i, _ in rows.arrivals():
@@ -173,6 +190,8 @@ def _csv(rows, kind, has_heading):
             line(int(rows.fix_ns[i]), fix=fix, heading=heading)
         elif what == Kind.MAG:
             line(int(rows.mag_ns[i]), mag=rows.mag[i].tolist())
+        elif what == Kind.RANGE:
+            line(int(rows.range_ns[i]), range_m=float(rows.ranges[i]))
         else:
             line(int(rows.baro_ns[i]), baro=float(rows.baro[i]))
     return ("\n".join(lines) + "\n").encode()
@@ -188,6 +207,8 @@ def _bin(rows, kind, has_heading):
     log.define(3, "GPA", "QBCCCBI", "TimeUS,I,HAcc,VAcc,SAcc,VV,SMS")
     log.define(4, "MAG", "QBhhhB", "TimeUS,I,MagX,MagY,MagZ,Health")
     log.define(5, "BARO", "QBf", "TimeUS,I,Alt")
+    if len(rows.ranges):
+        log.define(6, "RFND", "QBfBBb", "TimeUS,Instance,Dist,Stat,Orient,Quality")
     for what, i, _ in rows.arrivals():
         if what == Kind.IMU:
             log.row("IMU", int(rows.imu_ns[i]) // 1000, 0, *rows.imu[i].tolist())
@@ -220,6 +241,9 @@ def _bin(rows, kind, has_heading):
         elif what == Kind.MAG:
             field = [round(1e3 * one) for one in rows.mag[i].tolist()]
             log.row("MAG", int(rows.mag_ns[i]) // 1000, 0, *field, 1)
+        elif what == Kind.RANGE:
+            us, distance = int(rows.range_ns[i]) // 1000, float(rows.ranges[i])
+            log.row("RFND", us, 0, distance, 4, 25, -1)
         else:
             log.row("BARO", int(rows.baro_ns[i]) // 1000, 0, float(rows.baro[i]))
     return bytes(log.data)
@@ -256,10 +280,22 @@ _ULG = [
     ("sensor_mag", [("uint64_t", "timestamp"), *(("float", axis) for axis in "xyz")]),
     ("vehicle_air_data", [("uint64_t", "timestamp"), ("float", "baro_alt_meter")]),
 ]
+_RANGE = (
+    "distance_sensor",
+    [
+        ("uint64_t", "timestamp"),
+        ("float", "min_distance"),
+        ("float", "max_distance"),
+        ("float", "current_distance"),
+        ("float", "variance"),
+        ("int8_t", "signal_quality"),
+        ("uint8_t", "orientation"),
+    ],
+)
 
 
 def _ulg(rows, kind, has_heading):
-    log = ULogWriter(_ULG)
+    log = ULogWriter([*_ULG, _RANGE] if len(rows.ranges) else _ULG)
     log.data = bytearray(log.data)
     for what, i, _ in rows.arrivals():
         if what == Kind.IMU:
@@ -271,6 +307,9 @@ def _ulg(rows, kind, has_heading):
             log.row(1, us, int(rows.utc_us[i]), *fix)
         elif what == Kind.MAG:
             log.row(2, int(rows.mag_ns[i]) // 1000, *rows.mag[i].tolist())
+        elif what == Kind.RANGE:
+            us, distance = int(rows.range_ns[i]) // 1000, float(rows.ranges[i])
+            log.row(4, us, 0.05, 100.0, distance, 0.0025, -1, 25)
         else:
             log.row(3, int(rows.baro_ns[i]) // 1000, float(rows.baro[i]))
     return bytes(log.data)
@@ -334,6 +373,16 @@ def frames(rows, kind, has_heading):
             )
         elif what == Kind.MAG:
             field, is_new_field = rows.mag[i].tolist(), 1
+        elif what == Kind.RANGE:
+            yield frame(
+                "DISTANCE_SENSOR",
+                time_boot_ms=int(rows.range_ns[i]) // 1_000_000,
+                min_distance=5,
+                max_distance=10000,
+                current_distance=round(float(rows.ranges[i]) * 100.0),
+                orientation=25,
+                covariance=25,
+            )
         else:
             ratio = 1.0 - float(rows.baro[i]) / (288.15 / 0.0065)
             pressure = 1013.25 * ratio ** (9.80665 / (0.0065 * 287.05287))

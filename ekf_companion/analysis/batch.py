@@ -10,6 +10,7 @@ import numpy as np
 
 from ekf_companion.analysis import score
 from ekf_companion.config.config import Config
+from ekf_companion.core.memory.aid import BY_KIND
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
 from ekf_companion.logs.csv_columns import map_beside
@@ -31,7 +32,7 @@ SHOWN = 4
 """Number of files left out for one reason that are named."""
 SKIPPED = {"truth": 30.0, "autopilot": 20.0}
 """Seconds at the start that are left out of the errors, as in ``compare``."""
-_RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
+_RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, *BY_KIND)
 _ERRORS = {
     "horizontal_m": ("horizontal", 1.0),
     "vertical_m": ("vertical", 1.0),

@@ -300,14 +300,19 @@ def _fixes(review: FlightReview, sheet: Sheet) -> list[Any]:
     return plots
 
 
+COLOURS = (
+    *("#c0392b", "#d68910", "#1e8449", "#2874a6", "#7d3c98", "#566573"),
+    *("#0e7c7b", "#a04000"),
+)
+"""Of the aids, in turn."""
+
+
 def _looks(review: FlightReview, sheet: Sheet) -> list[Any]:
     looks = [look for look in review.looks if look.t_ns >= review.table.stamp_ns[0]]
     if not looks:
         return []
     t_ns = np.array([look.t_ns for look in looks], dtype=np.int64)
-    palette = dict(
-        zip(Aid, ("#c0392b", "#d68910", "#1e8449", "#2874a6", "#7d3c98", "#566573"), strict=False)
-    )
+    palette = dict(zip(Aid, COLOURS, strict=False))
 
     def series(values: Mapping[Aid, Array]) -> list[tuple[str, Stamps, Array, str]]:
         return [

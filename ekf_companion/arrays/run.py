@@ -18,6 +18,7 @@ from ekf_companion.arrays.types import (
     MagneticField,
     Units,
 )
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters.observation import Observation
@@ -67,7 +68,7 @@ def estimate(
     filter: FilterName | Run = "eskf",
     smooth: bool = False,
     settings: FilterSettings | None = None,
-    aids: Sequence[tuple[Moment, Observation]] = (),
+    aids: Sequence[tuple[Moment, Observation]] | Mapping[str, Columns] = (),
     units: Units | None = None,
     check: bool = True,
 ) -> Estimates:
@@ -92,8 +93,10 @@ def estimate(
             ``zupt``, with an option as in ``iterated:robocentric``; or a function of your own.
         smooth: Whether each estimate also uses what came later (``eskf`` only).
         settings: Noise, gates, lever arm and so on; None: the defaults.
-        aids: Measurements of your own, with their times (floats in s, integers in ns, or dates):
-            see :class:`~ekf_companion.filters.own_aid.OwnAid`.
+        aids: Of other sensors by name, as ``{"baro": {"time": ..., "alt": ...}}``: the columns are
+            those that the aid declares, :data:`~ekf_companion.core.memory.aid.DECLARED`. Or
+            measurements of your own, with their times (floats in s, integers in ns, or dates): see
+            :class:`~ekf_companion.filters.own_aid.OwnAid`.
         units: Units of ``time``, ``gyro``, ``accel`` and ``mag`` that are not the ones above, of
             :data:`~.reader.UNITS`: ``{"gyro": "deg/s", "accel": "g", "time": "us"}``.
         check: Whether to refuse what cannot be meant: other units, axes or signs, north and east
@@ -109,10 +112,12 @@ def estimate(
     """
     chosen = settings or FilterSettings()
     read = Reader(units, check, chosen.gnss.delay)
-    events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
+    others = aids if isinstance(aids, Mapping) else {}
+    own = () if isinstance(aids, Mapping) else aids
+    events = _read(read, time, gyro, accel, others, gnss=gnss, heading=heading, mag=mag, baro=baro)
     recording = Recording(family="unknown", events=events)
     if smooth:
-        if filter != "eskf" or aids:
+        if filter != "eskf" or own:
             raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
         with Smoothing(chosen) as smoothing:
             smoothing.run(events)
@@ -120,7 +125,7 @@ def estimate(
             notes = late_fixes(smoothing, chosen, recording)
         notes += tuple(account.late_begin(table, events))
     else:
-        solution = run_filter(recording, filter, chosen, aids=aids)
+        solution = run_filter(recording, filter, chosen, aids=own)
         table, counts, notes = solution.table, dict(solution.counts), solution.notes
     if not np.isfinite(table.column("q_w")).any():
         span = (events.t_ns[-1] - events.t_ns[0]) * 1e-9
@@ -165,12 +170,15 @@ def to_events(
     heading: Headings | Columns | None = None,
     mag: MagneticField | Columns | None = None,
     baro: Heights | Columns | None = None,
+    aids: Mapping[str, Columns] | None = None,
     units: Units | None = None,
     check: bool = True,
 ) -> Events:
     """Return arrays as the events of a recording; arguments and errors as for :func:`estimate`."""
     read = Reader(units, check)
-    return _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
+    return _read(
+        read, time, gyro, accel, aids or {}, gnss=gnss, heading=heading, mag=mag, baro=baro
+    )
 
 
 def _read(
@@ -178,6 +186,7 @@ def _read(
     time: npt.ArrayLike,
     gyro: npt.ArrayLike,
     accel: npt.ArrayLike,
+    aids: Mapping[str, Columns],
     **sensors: Mapping[str, Any] | None,
 ) -> Events:
     """Return arrays as events; ``read`` holds the notes on them."""
@@ -193,6 +202,10 @@ def _read(
         for name, convert in _TABLES.items()
         if (given := sensors[name]) is not None
     }
+    for name, given in aids.items():
+        if name in tables:
+            raise ConfigError(f"aids: {name}: is given twice")
+        tables[name] = _aid(read, name, given, t_ns)
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
     fixes, baro, mag = (tables.get(name) for name in ("gnss", "baro", "mag"))
     found = contradictions(imu, fixes, baro, mag) if read.check else []
@@ -276,6 +289,25 @@ def _baro(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     else:
         alt = read.array("baro.alt", given["alt"], (len(t_ns),))
     return Events.from_columns(t_ns, Kind.BARO, alt)
+
+
+def _aid(read: Reader, name: str, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
+    """Return the measurements of an aid that declares itself."""
+    aid = next((one for one in DECLARED if one.name == name), None)
+    if aid is None:
+        known = ", ".join(one.name for one in DECLARED)
+        raise ConfigError(f"aids: {name}: there is none of this name; known are {known}")
+    t_ns = read.columns(name, given, (*aid.row,), imu_ns)
+    columns = []
+    for column, value in aid.row.items():
+        if column not in given and not value.is_optional:
+            raise DataError(f"{name}: needs {column} ({value.unit})")
+        columns.append(
+            read.array(f"{name}.{column}", given[column], (len(t_ns),))
+            if column in given
+            else np.full(len(t_ns), np.nan)
+        )
+    return Events.from_columns(t_ns, aid.kind, *columns)
 
 
 _TABLES = {"gnss": _gnss, "heading": _heading, "mag": _mag, "baro": _baro}

@@ -6,6 +6,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.engine.options import session_options
 from ekf_companion.errors import LinkError
 from ekf_companion.link.address import Address, Kind, parse_url
+from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE
 from ekf_companion.mavlink.messages import by_name
 
@@ -43,7 +44,9 @@ def overloads(config: Config) -> list[str]:
     ours = dict(_OURS)
     if config.output.odometry.mode != "never":
         ours["ODOMETRY"] = min(config.output.odometry.rate, _FEWEST)
-    theirs = {**_THEIRS, **session_options(config, is_recording=False).rates}
+    asked = session_options(config, is_recording=False).rates
+    # What few vehicles have is not held against the line
+    theirs = _THEIRS | {name: rate for name, rate in asked.items() if name not in aids.RATES}
     is_signed = bool(config.signing.key_file)
     words = []
     for direction, rates in (("from the autopilot", theirs), ("to the autopilot", ours)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.doctor.evidence import Evidence
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.health import Aid, Health, Verdict
@@ -21,13 +22,12 @@ _COMPASS = (
     "Calibrate the magnetometer (`ekf-companion calibrate mag LOG`), look at the autopilot's "
     "compass orientation, or raise heading.magnetometer_std."
 )
-_FOAM = "Raise baro.std, cover the barometer with foam, or baro.use = false."
 _AIDS = {
     Aid.POSITION: ("position", _GNSS.format("position")),
     Aid.HEIGHT: ("height", "Raise gnss.height_std."),
     Aid.VELOCITY: ("velocity", _GNSS.format("velocity")),
     Aid.HEADING: ("heading", _COMPASS),
-    Aid.BARO: ("pressure height", _FOAM),
+    **{Aid[one.name.upper()]: (one.words, one.advice) for one in DECLARED},
 }
 """Names of the aids, and what helps if they are refused."""
 _RESETS = {
@@ -68,8 +68,9 @@ def _status(health: Health) -> Problem | None:
     if health.status is Status.DEGRADED:
         absent = [
             label
-            for aid, (label, _) in _AIDS.items()
-            if aid is not Aid.BARO and not health.fused(aid)
+            for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)
+            if not health.fused(aid)
+            for label, _ in [_AIDS[aid]]
         ]
         without = " and ".join(absent)
         what = f" without {without}" if absent else ", but one aid is silent or refused"

@@ -29,7 +29,7 @@ from ekf_companion.core.memory import enums
 from ekf_companion.core.memory import state as declared_state
 from ekf_companion.core.memory.declare import pxd
 from ekf_companion.core.memory.enums import Mode, Reset
-from ekf_companion.core.memory.overlay import as_state
+from ekf_companion.core.memory.overlay import as_state, errors
 from ekf_companion.core.memory.scratch import ROW
 from ekf_companion.core.memory.state import BLOCK, Alignment, Field
 from ekf_companion.core.settings.settings import HABITS
@@ -276,18 +276,7 @@ def _refuse_state(state: State) -> Refusal | None:
         words = "it had not found its attitude yet"
         return Refusal(Why.ALIGNING, words, state.next_reset if x.resets else 0)
     P = np.array(x.P)
-    nominal = (x.q_nb, x.vel_n, x.pos_n, x.gyro_bias, x.accel_bias, x.gnss_offset, x.hard_iron)
-    motion = np.hstack(
-        [
-            *nominal,
-            x.gnss_vel_offset,
-            x.gyro,
-            x.accel,
-            x.baro_offset,
-            x.gnss_delay,
-            x.heading_offset,
-        ]
-    )
+    motion = np.hstack([x.q_nb, errors(x), x.gyro, x.accel])
     is_possible = (
         _is_known(state.block)
         and bool((np.abs(motion) < LARGEST).all())

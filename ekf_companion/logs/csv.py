@@ -7,6 +7,7 @@ Native files declare them in the header. A column is a quantity and its unit::
     accel_x_mps2 | accel_x_g  (and y, z)            specific force: -9.8 down at rest
     mag_x_gauss | mag_x_uT | mag_x_mG  (and y, z)
     baro_alt_m | baro_press_hPa | baro_press_Pa
+    range_m, range_std_m                            to the ground, along the body's down axis
     gps_lat_deg, gps_lon_deg, gps_alt_m             altitude above mean sea level
     gps_vn_mps, gps_ve_mps, gps_vd_mps              or gps_speed_mps | gps_speed_kmph
                                                     with gps_course_deg

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.logs import aids
 from ekf_companion.logs.source import unpacked_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.yaml_file import read_yaml
@@ -27,6 +28,8 @@ _UNITS: dict[str, dict[str, float]] = {
 """Units by dimension, and their size in SI and radians."""
 _SUFFIXES = {"rps": "rad/s", "dps": "deg/s", "mps2": "m/s2", "mps": "m/s", "kmph": "km/h"}
 """Spelling in header names of units with a slash; other units are spelt as they are."""
+_BY_UNIT = {"m": "length", "m/s": "speed", "rad": "angle", "rad/s": "gyro", "Pa": "pressure"}
+"""Dimension of what an aid declares."""
 QUANTITIES = {
     "time": "time",
     **{f"gyro_{axis}": "gyro" for axis in "xyz"},
@@ -37,6 +40,11 @@ QUANTITIES = {
     **dict.fromkeys(["gps_lat", "gps_lon", "gps_course", "heading", "heading_std"], "angle"),
     **dict.fromkeys(["gps_alt", "gps_north", "gps_east", "gps_h"], "length"),
     **dict.fromkeys(["gps_std_h", "gps_std_v"], "length"),
+    **{
+        name: _BY_UNIT[unit]
+        for quantities in aids.CSV.values()
+        for name, unit in quantities.items()
+    },
     **dict.fromkeys(["gps_vn", "gps_ve", "gps_vd", "gps_speed", "gps_std_vel"], "speed"),
 }
 """Dimension of each quantity."""

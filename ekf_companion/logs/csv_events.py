@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import series
+from ekf_companion.logs import aids, series
 from ekf_companion.logs.csv_columns import DEGREE, GROUPS, Source
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
@@ -28,7 +28,7 @@ SEA_LEVEL_PRESSURE = 101325.0
 SCALE_HEIGHT = 288.15 / 0.0065
 """m: temperature at sea level by its lapse rate."""
 PRESSURE_EXPONENT = 0.190263
-_HOLDABLE = ("gps", "mag", "baro", "heading")
+_HOLDABLE = ("gps", "mag", "baro", "heading", *(next(iter(names)) for names in aids.CSV.values()))
 
 
 class EventMaker:
@@ -90,15 +90,26 @@ class EventMaker:
         is_new = np.ones(len(t_ns), dtype=bool)
         is_new[:1] = self._last is None
         self._last = t_ns[-1:], row[-1:], {name: column[-1:] for name, column in values.items()}
+        found: Arrivals = []
+        for kind, names in aids.CSV.items():
+            part = _part(t_ns, is_new, values, next(iter(names)), self._constant)
+            found += self._aid(kind, [*names], part)
         gnss, heading, mag, baro, imu = (
             _part(t_ns, is_new, values, begin, self._constant)
             for begin in ("gps_", "heading", "mag_", "baro_", "")
         )
-        found = [*self._gnss(gnss), *self._heading(heading), *self._sensor("mag", Kind.MAG, mag)]
+        found += [*self._gnss(gnss), *self._heading(heading), *self._sensor("mag", Kind.MAG, mag)]
         found += [*self._barometer(baro), *self._sensor("imu", Kind.IMU, imu)]
         if not found:
             return Events.from_rows([])
         return merged([(events, row[at]) for events, at in found])
+
+    def _aid(self, kind: Kind, names: list[str], part: _Part) -> Arrivals:
+        if names[0] not in part.values:
+            return []
+        columns = [part.values.get(one, np.full(len(part.row), np.nan)) for one in names]
+        held = columns[:1] if names[0] in self._hold else None
+        return _found(part, kind, columns, columns[:1], held)
 
     def _sensor(self, group: str, kind: Kind, part: _Part) -> Arrivals:
         if not part.values.keys() >= {*GROUPS[group]}:

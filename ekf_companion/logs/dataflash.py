@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import receiver_time, series
+from ekf_companion.logs import aids, receiver_time, series
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of, parameter
 from ekf_companion.logs.dataflash_records import OFFSET, Tables, read_tables
 from ekf_companion.logs.dataflash_sensors import INSTANCE
@@ -118,6 +118,8 @@ def read(path: Path) -> Recording:
         )
     else:
         sources += streamed("BARO", lambda rows: _sensor(rows, "BARO", Kind.BARO))
+    for name, (kind, aid) in aids.DATAFLASH.items():
+        sources += sources_of(_aid(tables, name, kind, aid))
     events = MergedEvents(sources)
     if not len(events) and is_cut:
         raise cut_short(path, path.stat().st_size)
@@ -186,6 +188,16 @@ def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
     table, t_ns = rows
     columns = [table[column] for column in NEEDED[name]]
     return [(EventColumns(t_ns, kind, *columns), table[OFFSET])]
+
+
+def _aid(tables: Columns, name: str, kind: Kind, aid: aids.Columns) -> Arrivals:
+    """Return the events of an aid that declares itself."""
+    if (rows := rows_of(tables, name)) is None:
+        return []
+    table, t_ns = rows
+    valid, columns = aid.read({one: table[one] for one in names_of(table)})
+    chosen = [column[valid] for column in columns]
+    return [(EventColumns(t_ns[valid], kind, *chosen), table[OFFSET][valid])]
 
 
 def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:

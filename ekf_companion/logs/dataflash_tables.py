@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ekf_companion.logs import dataflash_instances, dataflash_old, dataflash_sensors, series
+from ekf_companion.logs import aids, dataflash_instances, dataflash_old, dataflash_sensors, series
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import Tables
 from ekf_companion.logs.series import Extent
@@ -41,6 +41,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     dataflash_old.TUNING: (),
     "PARM": ("Value",),
     "MSG": (),
+    **{name: one.needed for name, (_, one) in aids.DATAFLASH.items()},
     **{name: columns[-1:] for name, columns in dataflash_instances.ASKED.items()},
 }
 for _first, *_more in (one.messages for one in dataflash_sensors.FAMILIES.values()):

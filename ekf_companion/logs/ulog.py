@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import receiver_time, series
+from ekf_companion.logs import aids, receiver_time, series
 from ekf_companion.logs.recording import (
     CUT,
     Damage,
@@ -122,6 +122,10 @@ def read(path: Path) -> Recording:
         sources += sources_of(_barometer(fused))
     else:
         sources += streamed("vehicle_air_data", _barometer)
+    for name, (kind, aid) in aids.ULOG.items():
+        if (topic := topics.get(name)) is not None:
+            valid, columns = aid.read(topic)
+            sources += sources_of(_events(topic, kind, valid, *columns))
     sources += sources_of([*_vehicle(topics), *_gnss(topics, notes)])
     events = MergedEvents(sources)
     if not len(events) and not log.subscriptions:

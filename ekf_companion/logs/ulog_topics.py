@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.logs import series, ulog_instances, ulog_messages
+from ekf_companion.logs import aids, series, ulog_instances, ulog_messages
 from ekf_companion.logs.series import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.logs.ulog_messages import Messages
@@ -46,6 +46,7 @@ _TOPICS: dict[str, tuple[str, ...]] = {
     "vehicle_attitude_groundtruth": _ROTATION,
     "vehicle_local_position_groundtruth": _LOCAL,
     "vehicle_global_position_groundtruth": _GLOBAL,
+    **{name: one.needed for name, (_, one) in aids.ULOG.items()},
 }
 """The topics that are used, and the fields that each needs."""
 _SENSORS = (

@@ -11,7 +11,7 @@ Frames are kept as they are, and looked through when one comes whose stamp is be
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import islice
 from struct import calcsize
 
@@ -43,13 +43,13 @@ _READ = (
     *("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "SCALED_PRESSURE"),
     *("GPS_RAW_INT", "GPS2_RAW", "GLOBAL_POSITION_INT", "ATTITUDE", "SYSTEM_TIME"),
 )
-"""What the decoder reads, and is stamped."""
+"""What the decoder reads, and is stamped, beside the messages of the aids."""
 
 
-def _places() -> dict[int, tuple[int, int, int]]:
-    """Return where the stamp lies in the messages that are read: begin, end, and its unit, us."""
+def _places(names: Iterable[str]) -> dict[int, tuple[int, int, int]]:
+    """Return where the stamp lies in messages: begin, end, and its unit, us."""
     places = {}
-    for number in (IDS[name] for name in _READ):
+    for number in (IDS[name] for name in names):
         layout = LAYOUTS[number]
         start = 0
         for field in layout.fields:
@@ -61,13 +61,12 @@ def _places() -> dict[int, tuple[int, int, int]]:
     return places
 
 
-PLACES = _places()
-
-
 class PastFrames:
     """The frames of one autopilot that were heard lately."""
 
-    def __init__(self) -> None:
+    def __init__(self, aids: Iterable[str] = ()) -> None:
+        """Begin with none; ``aids`` names the messages of the aids that declare themselves."""
+        self._places = _places((*_READ, *aids))
         self.again = 0
         """Frames that came again."""
         self.lag_us = 0
@@ -112,9 +111,13 @@ class PastFrames:
         self._more += end - begin - 1
         self.keep((frames, begin, end))
 
+    def is_stamped(self, number: int) -> bool:
+        """Return whether a message is read, and says when it was true."""
+        return number in self._places
+
     def is_behind(self, frame: Frame, clock: TimeBase) -> bool:
         """Return whether a frame may have been heard before, by its stamp."""
-        if (place := PLACES.get(frame.message_id)) is None:
+        if (place := self._places.get(frame.message_id)) is None:
             return False
         if (stamp := _stamp(frame.payload, place)) == 0:
             return False  # which is no time
@@ -132,7 +135,7 @@ class PastFrames:
             self.keep(frame)
             return False
         self._read()
-        number, place = frame.message_id, PLACES[frame.message_id]
+        number, place = frame.message_id, self._places[frame.message_id]
         stamp = _stamp(frame.payload, place)
         if stamp >= self._newest.get(number, 0):
             self.keep(frame)
@@ -169,7 +172,7 @@ class PastFrames:
                 del self._keys[key]
 
     def _add(self, number: int, payload: bytes) -> None:
-        if (place := PLACES.get(number)) is None:
+        if (place := self._places.get(number)) is None:
             return
         self._keys[_key(number, payload)] = None
         stamp = _stamp(payload, place)

@@ -24,7 +24,7 @@ from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decision import Decision, Hold, stream_state
-from ekf_companion.mavlink.decode import Decoder, DecoderOptions
+from ekf_companion.mavlink.decode import Decoder, DecoderOptions, aids
 from ekf_companion.mavlink.delivery import Delivery
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
@@ -39,7 +39,7 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
-from ekf_companion.mavlink.past_frames import PLACES, PastFrames
+from ekf_companion.mavlink.past_frames import PastFrames
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.second_source import SecondSource
 from ekf_companion.mavlink.sequence import Sequence
@@ -68,6 +68,7 @@ RATES: Mapping[str, float] = {
     "GPS2_RAW": 5.0,
     "SCALED_IMU2": 10.0,
     "SCALED_IMU3": 10.0,
+    **aids.RATES,
 }
 """Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late. The last
 three are for a second receiver and other compasses, and as slow as suffices to watch them."""
@@ -132,7 +133,7 @@ class Session:
         """Messages of a kind that we answer, addressed to another, by message id."""
         self.on_frame: Callable[[Frame], None] | None = None
         """Called with each frame that came in, junk included, before anything is made of it."""
-        self.sequence, self.past = Sequence(), PastFrames()
+        self.sequence, self.past = Sequence(), PastFrames(aids.RATES)
         self.outbox = Outbox(
             Sender(options.system_id or 1, options.component_id, signing),
             is_recording=options.is_recording,
@@ -315,7 +316,7 @@ class Session:
         if number in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
 
-        if is_old and number not in PLACES:
+        if is_old and not self.past.is_stamped(number):
             return []  # it has no stamp to tell it by, but came among others that came again
         measurements = self.decoder.decode(frame, quantise(now_ns))
         if self.decoder.notes:

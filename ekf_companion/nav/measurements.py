@@ -47,7 +47,8 @@ class Kind(IntEnum):
     MAG = 3
     BARO = 4
     VEHICLE = 5
-    IMU = 6
+    RANGE = 6
+    IMU = 7
 
 
 class HeadingSource(IntEnum):
@@ -208,6 +209,21 @@ class BaroSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RangeSample:
+    """Distance to the ground along the body's down axis."""
+
+    t_ns: int
+    range: float
+    """m, > 0."""
+    std: float | None = None
+    """One sigma, m, > 0; None: not known."""
+
+    def row(self) -> Row:
+        """Return the row [range, std]."""
+        return _row(self.t_ns, Kind.RANGE, self.range, self.std)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
     """Armed and landed as the autopilot reports them: no rest is assumed against them.
 
@@ -232,7 +248,16 @@ class VehicleState:
         )
 
 
-Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSample | VehicleState
+Measurement = (
+    Restart
+    | ImuSample
+    | GnssFix
+    | HeadingSample
+    | MagSample
+    | BaroSample
+    | RangeSample
+    | VehicleState
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ekf_companion.core.memory.aid import BY_KIND
 from ekf_companion.nav.measurements import Events, Kind
 
-SENSORS = (Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
+SENSORS = (Kind.GNSS, Kind.HEADING, Kind.MAG, *BY_KIND)
 STRAY = 2
 """Events of a block that may be stamped before or after all others, damaged as they are."""
 SHORT = 5.0

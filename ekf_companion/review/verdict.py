@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.engine.health import Aid, Verdict, fused_of, refused_of
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav.measurements import Kind
@@ -36,7 +37,7 @@ LARGEST_LOSS = 0.05
 AIDS = {
     Aid.HEIGHT: "receiver's heights",
     Aid.VELOCITY: "receiver's velocities",
-    Aid.BARO: "barometer's heights",
+    **{Aid[one.name.upper()]: f"{one.sensor}'s {one.words}" for one in DECLARED},
 }
 """Aids besides the fixes, in words; the headings are judged by sensor."""
 SENSORS = {

@@ -11,15 +11,18 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.enums import Azimuth
 from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.mavlink.decode import heading, inertial
+from ekf_companion.mavlink.decode.aids import SOURCES
 from ekf_companion.mavlink.decode.air import PRESSURE_SOURCES
 from ekf_companion.mavlink.decode.heading import wrap
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
+from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 from ekf_companion.status.vehicle import NO_DRIFT, AidState, Drift
 
@@ -177,6 +180,7 @@ def sources_of(
     """Return the source of each aid, by the ranks of the sources and the receiver in use."""
     _, mag, baro, azimuth_rank = ranks
     fixes = "GPS2_RAW" if receiver else "GPS_RAW_INT"
+    messages = {**SOURCES, Kind.BARO: PRESSURE_SOURCES[baro]}
     position = "GLOBAL_POSITION_INT, the autopilot's own" if is_autopilots else fixes
     by_azimuth = {
         Azimuth.ANTENNA: f"{fixes}, two antennas",
@@ -189,6 +193,10 @@ def sources_of(
         Aid.HEIGHT: position,
         Aid.VELOCITY: position,
         Aid.HEADING: by_azimuth.get(Azimuth(azimuth), "") if azimuth else "",
-        Aid.BARO: f"{PRESSURE_SOURCES[baro]}, barometer",
         Aid.REST: "the inertial samples",
+        **{
+            Aid[one.name.upper()]: f"{messages[one.kind]}, {one.sensor}"
+            for one in DECLARED
+            if one.kind in messages
+        },
     }

@@ -7,6 +7,8 @@ from html import escape
 from importlib.resources import files
 from typing import NamedTuple
 
+from ekf_companion.core.memory.enums import Aid
+
 _KINDS = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -51,6 +53,7 @@ def index(source: str, tiles: str = "", credit: str = "") -> bytes:
     assert page is not None
     missing = "" if all(asset(name) for name in CHARTS) else NO_CHARTS
     text = page.body.decode().replace("{{source}}", source).replace("{{missing}}", missing)
+    text = text.replace("{{aids}}", " ".join(aid.name.lower() for aid in Aid))
     text = text.replace("{{tiles}}", escape(tiles)).replace("{{credit}}", escape(credit))
     if missing:
         lines = text.splitlines(keepends=True)

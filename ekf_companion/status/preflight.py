@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.engine.health import DECIMATED, Health
 from ekf_companion.nav.earth import SEMI_MAJOR_AXIS
 from ekf_companion.nav.state import Status
@@ -131,9 +132,10 @@ def _of_estimate(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
     if vehicle.needs_fix:
         yield from _of_fix(snapshot, health)
     yield from _of_heading(vehicle)
-    baro, sigma = vehicle.aids["baro"], vehicle.sigma
-    if baro.state == "refused":
-        yield Reason("baro refused", f"barometer refused: {baro.why}")
+    sigma = vehicle.sigma
+    for one in DECLARED:
+        if (aid := vehicle.aids[one.name]).state == "refused":
+            yield Reason(f"{one.name} refused", f"{one.sensor} refused: {aid.why}")
     if max(sigma.roll_deg, sigma.pitch_deg) > LARGEST_LEVEL_STD:
         worst = max(sigma.roll_deg, sigma.pitch_deg)
         yield Reason("level unsure", f"roll and pitch are known to {worst:.0f} deg only")

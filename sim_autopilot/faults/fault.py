@@ -142,6 +142,11 @@ _SENSOR: _Kinds = {
         10.0,
         {"height": Number(20.0, -1e4, 1e4)},
     ),
+    "range-bounce": (
+        "the range finder reads anything that it can read",
+        10.0,
+        {"lowest": Number(0.3, 0.0, 1e3), "highest": Number(39.0, 0.0, 1e3)},
+    ),
 }
 _SETUP: _Kinds = {
     "mounting": (

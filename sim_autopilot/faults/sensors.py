@@ -39,6 +39,7 @@ class SensorFaults:
             "imu-gap": lambda fault, cycle, t: cycle._replace(has_imu=False),
             "mag-disturbance": _disturbance,
             "baro-step": _step,
+            "range-bounce": _bounce,
             "mounting": _mounting,
             "own-estimate": _own_estimate,
             "accel-drift": _accel_drift,
@@ -113,6 +114,15 @@ def _step(fault: Fault, cycle: Cycle, t: float) -> Cycle:
         return cycle
     alt = cycle.baro[1] + fault.number("height")
     return cycle._replace(baro=(pressure(alt), alt))
+
+
+def _bounce(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if cycle.range_m is None:
+        return cycle
+    found = np.random.default_rng(cycle.number).uniform(
+        fault.number("lowest"), fault.number("highest")
+    )
+    return cycle._replace(range_m=float(found))
 
 
 def _mounting(fault: Fault, cycle: Cycle, t: float) -> Cycle:

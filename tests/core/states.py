@@ -2,9 +2,12 @@
 
 import numpy as np
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.enums import (
     E_ATT,
     E_VEL,
+    SLOW_ERRORS,
+    Aid,
     N,
 )
 from ekf_companion.core.memory.overlay import errors
@@ -54,6 +57,14 @@ def some_parameters() -> Parameters:
     k.gravity, k.heading_time, k.gnss_offset_time = 9.8, 50.0, 80.0
     k.gnss_vel_offset_time = 25.0
     return k
+
+
+def let_walk(k: Parameters, aid: Aid, walk: float) -> None:
+    """Let the slow errors of an aid that declares itself walk, by its unit and sqrt(s)."""
+    one = k.aid[aid]
+    name = aid.name.lower()
+    errors = next(known.slow_errors for known in DECLARED if known.name == name)
+    one.walk, one.error, one.errors = walk, SLOW_ERRORS[name], len(errors)
 
 
 def plus(x: State, error: np.ndarray) -> State:

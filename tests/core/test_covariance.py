@@ -4,10 +4,20 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ekf_companion.core.memory.enums import E_HEADING, N
+from ekf_companion.core.memory.enums import E_HEADING, Aid, N
 from ekf_companion.core.memory.scratch import Motion, TapeRecord
 from tests.core.interpreted import load
-from tests.core.states import SAMPLE, a_state, array, copy, minus, plus, sampled, some_parameters
+from tests.core.states import (
+    SAMPLE,
+    a_state,
+    array,
+    copy,
+    let_walk,
+    minus,
+    plus,
+    sampled,
+    some_parameters,
+)
 
 
 def move(x, k, m, dt):
@@ -33,7 +43,9 @@ def test_covariance_follows_the_slope_of_the_motion(dt):
     rng = np.random.default_rng(6)
     root = (
         rng.normal(0.0, 1.0, (N, N))
-        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0, 0.01, 0.1], [3, 3, 3, 3, 3, 6, 3, 3])[:, None]
+        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0, 0.01, 0.1], [3, 3, 3, 3, 3, 6, 3, N - 24])[
+            :, None
+        ]
     )
     P = root @ root.T
     array(x.P)[:] = P
@@ -71,7 +83,8 @@ def test_a_covariance_that_follows_three_samples_at_once_is_as_exact():
 @pytest.mark.parametrize("dt", [0.004, 0.1])
 def test_the_transition_is_the_one_that_the_covariance_went_by(dt):
     x, k, m, record = a_state(8), some_parameters(), Motion(), TapeRecord()
-    k.gyro_noise, k.accel_noise, k.baro_walk = 2e-3, 3e-2, 0.05
+    k.gyro_noise, k.accel_noise = 2e-3, 3e-2
+    let_walk(k, Aid.BARO, 0.05)
     k.gyro_bias_walk, k.accel_bias_walk, x.heading_std = 1e-4, 1e-3, 0.1
     root = np.random.default_rng(8).normal(0.0, 1.0, (N, N))
     ends = []
@@ -90,7 +103,8 @@ def test_the_transition_is_the_one_that_the_covariance_went_by(dt):
 def test_noise_is_what_van_loan_gives():
     x, k, m = a_state(7), some_parameters(), Motion()
     k.gyro_noise, k.accel_noise = 2e-3, 3e-2
-    k.gyro_bias_walk, k.accel_bias_walk, k.baro_walk = 1e-4, 1e-3, 0.05
+    k.gyro_bias_walk, k.accel_bias_walk = 1e-4, 1e-3
+    let_walk(k, Aid.BARO, 0.05)
     dt = 0.01
     move(x, k, m, dt)
     C, force = np.array(m.C_nb), np.array(m.dv_n) / dt
@@ -102,9 +116,8 @@ def test_noise_is_what_van_loan_gives():
     )
     F[3:6, 12:15] = -C
     F[6:9, 3:6] = np.eye(3)
-    Q = np.diag(
-        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 11])
-    )
+    variances = [2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0]
+    Q = np.diag(np.repeat(variances, [3, 3, 3, 3, 3, 1, N - 16]))
     block = expm(np.block([[-F, Q], [np.zeros_like(F), F.T]]) * dt)
     expected = block[N:, N:].T @ block[:N, N:]
     after = array(x.P)

@@ -9,6 +9,7 @@ from ekf_companion.core.memory.enums import (
     E_DELAY,
     E_POS,
     E_VEL,
+    Aid,
     Link,
     Mode,
     N,
@@ -25,7 +26,7 @@ from ekf_companion.filters.gap import lost_motion
 from ekf_companion.nav.measurements import Events, Kind
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
-from tests.core.states import a_state, array, copy, minus, some_parameters
+from tests.core.states import a_state, array, copy, let_walk, minus, some_parameters
 
 KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12, delay_std=0.02, white_share=1.0))
 TINY = 1e-7
@@ -104,7 +105,9 @@ class Batch:
 def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
     core, rng = load(), np.random.default_rng(11)
     k, numbers = some_parameters(), np.zeros(PARAMETERS)
-    k.gyro_noise, k.accel_noise, k.baro_walk, k.baro_std = 0.2 * TINY, 2 * TINY, TINY, TINY
+    k.gyro_noise, k.accel_noise = 0.2 * TINY, 2 * TINY
+    let_walk(k, Aid.BARO, TINY)
+    k.aid[Aid.BARO].std = TINY
     k.gyro_bias_walk, k.accel_bias_walk = 0.1 * TINY, 0.5 * TINY
     numbers[:] = np.frombuffer(k)
     smoothing = core.rts.Smoother(numbers)
@@ -151,7 +154,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
             core.gnss.velocity(x, k, fix, o)
             update()
         if step % 5 == 0:
-            core.baro.observe(x, k, o, 0.0)
+            core.baro.observe(x, k, o, [0.0])
             update()
             core.tape.record_event(x, w)
         if step == 12:  # a gap

@@ -15,6 +15,7 @@ from ekf_companion.nav.measurements import (
     HeadingSource,
     ImuSample,
     MagSample,
+    RangeSample,
     Restart,
     VehicleState,
 )
@@ -879,3 +880,48 @@ def test_a_field_that_is_never_the_earths_is_told_to_a_human():
         peer.highres(1_000_000 + 4_000 * k, fields_updated=ACCEL_GYRO | MAG, **field)
     (note,) = [note for note in peer.decoder.notes if "magnetometer" in note]
     assert note.startswith("The magnetometer measures 47.5 gauss, and the Earth's field has 0.22")
+
+
+def range_of(peer, t_ms, **fields):
+    """Return the ranges of a DISTANCE_SENSOR that looks down."""
+    known = {"orientation": 25, "min_distance": 20, "max_distance": 4000, "current_distance": 250}
+    said = peer.say(
+        "distance_sensor", time_boot_ms=t_ms, quaternion=[0.0] * 4, **{**known, **fields}
+    )
+    return [(one.t_ns, one.range, one.std) for one in only(RangeSample, said)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "found"),
+    [
+        ({}, (2.5, None)),
+        ({"covariance": 255}, (2.5, None)),
+        ({"covariance": 16}, (2.5, 0.04)),
+        ({"signal_quality": 60}, (2.5, None)),
+        ({"signal_quality": 1}, None),
+        ({"current_distance": 20}, None),
+        ({"current_distance": 4000}, None),
+        ({"current_distance": 65535}, None),
+        ({"orientation": 0}, None),
+        ({"orientation": 24}, None),
+    ],
+)
+def test_a_range_is_one_within_the_sensor_s_own_that_looks_down(fields, found):
+    peer = Peer(Family.ARDUPILOT)
+    peer.highres(1_000_000)
+    expected = [] if found is None else [(1_000_000_000, *found)]
+    assert range_of(peer, 1000, **fields) == expected
+
+
+def test_of_several_range_finders_the_first_counts_until_it_is_silent():
+    peer = Peer(Family.ARDUPILOT)
+    peer.highres(1_000_000)
+    used = []
+    for t_ms in range(1000, 12_000, 100):
+        for sensor in (1, 0):
+            if sensor == 1 and t_ms >= 5000:
+                continue
+            used += [sensor] * len(range_of(peer, t_ms, id=sensor, current_distance=100 + sensor))
+    assert used[:40] == [1] * 40
+    assert set(used[40:]) == {0}
+    assert len(used) == 40 + (12_000 - 8100) // 100 + 1

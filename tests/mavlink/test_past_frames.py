@@ -5,6 +5,9 @@ import random
 import pytest
 
 from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.decode import aids
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.past_frames import KEPT, PastFrames
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.timebase import TimeBase
@@ -167,3 +170,24 @@ def test_the_frames_that_are_kept_are_bounded():
     clock.advance(BEGIN_US + 3 * KEPT * STEP_US)
     assert not past.holds(kept[5], clock, 0)  # too long ago to be known
     assert past.holds(kept[-200], clock, 0)
+
+
+def test_messages_of_the_aids_are_recognised_too():
+    for reader in aids.READERS:
+        layout = LAYOUTS[IDS[reader.message]]
+        past, clock = PastFrames(aids.RATES), TimeBase()
+        first, later = (
+            Splitter().feed(Sender(1, 1).message(reader.message, time_boot_ms=ms))[0]
+            for ms in (1000, 3000)
+        )
+        assert "time_boot_ms" in layout.names
+        clock.advance(1_000_000)
+        assert not past.holds(first, clock, 0)
+        for t_us in range(1_100_000, 3_100_000, 100_000):
+            clock.advance(t_us)
+        assert not past.holds(later, clock, 0)
+        assert past.holds(first, clock, 0)
+
+
+def test_every_aid_has_a_message_of_its_own():
+    assert len({reader.message for reader in aids.READERS}) == len(aids.READERS)

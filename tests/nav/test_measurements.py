@@ -11,6 +11,7 @@ from ekf_companion.nav.measurements import (
     ImuSample,
     Kind,
     MagSample,
+    RangeSample,
     Restart,
     VehicleState,
     merge,
@@ -23,6 +24,7 @@ SAMPLES = [
     HeadingSample(t_ns=3, heading=1.0, std=0.1, source=HeadingSource.AUTOPILOT),
     MagSample(t_ns=2, mag_x=0.1, mag_y=0.2, mag_z=0.3),
     BaroSample(t_ns=1, alt=100.0),
+    RangeSample(t_ns=7, range=2.5),
     VehicleState(t_ns=6, is_armed=True),
 ]
 

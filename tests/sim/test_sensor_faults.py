@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.nav.earth import LocalFrame
-from sim_autopilot.config import SimConfig
+from sim_autopilot.config import RangeFinderConfig, SimConfig
 from sim_autopilot.faults.fault import KINDS, Layer, parse
 from sim_autopilot.faults.sensors import SensorFaults
 from sim_autopilot.flight import Flight
@@ -17,7 +17,8 @@ INSIDE = range(499, 1249)
 
 @functools.cache
 def flight():
-    return Flight.plan("figure-eight", SimConfig(), duration=8.0, skip=15.0)
+    config = SimConfig(range_finder=RangeFinderConfig(fitted=True))
+    return Flight.plan("figure-eight", config, duration=8.0, skip=15.0)
 
 
 @functools.cache

@@ -9,9 +9,10 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import PreflightConfig
 from ekf_companion.core.settings.settings import GnssSettings
+from ekf_companion.nav.state import Status
 from ekf_companion.status import preflight
 from ekf_companion.status.preflight import check
-from sim_autopilot.config import HomeConfig
+from sim_autopilot.config import HomeConfig, RangeFinderConfig
 from tests.paths import ROOT
 from tests.status.standing import NO_COMPASS_FIELD, NO_SATELLITES, WHOLE, stand, verdict, wait
 
@@ -181,6 +182,14 @@ def test_a_declination_that_becomes_known_is_no_drift():
 def test_a_barometer_that_is_refused_is_told():
     found = verdict(stand(f"baro-step:start=6,{WHOLE},height=40", duration=11.0))
     assert found.reasons == ("barometer refused: outside its gate",)
+
+
+def test_a_range_finder_that_bounces_is_told_and_harms_nothing_else():
+    fitted = RangeFinderConfig(fitted=True)
+    watched = stand(f"range-bounce:start=8,{WHOLE}", duration=12.5, range_finder=fitted)
+    found = verdict(watched)
+    assert found.reasons == ("range finder refused: outside its gate",)
+    assert watched.snapshot().estimator.status is Status.OK
 
 
 def test_an_autopilot_that_has_fallen_silent_is_all_that_is_told():

@@ -7,6 +7,7 @@ import pytest
 
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.status.judge import to_json
+from sim_autopilot.config import RangeFinderConfig
 from tests.status.test_observer import MS, Watched
 
 AUTOPILOT = Sender(1, 1)
@@ -71,9 +72,19 @@ def test_each_aid_names_its_source_and_since_when_it_is_used(flown, vehicle):
         "heading": "HIGHRES_IMU, magnetometer",
         "baro": "HIGHRES_IMU, barometer",
         "rest": "the inertial samples",
+        "range_finder": "",
     }
-    assert {aid.state for aid in vehicle.aids.values()} == {"used"}
+    assert {name: aid.state for name, aid in vehicle.aids.items()} == {
+        **dict.fromkeys(sources, "used"),
+        "range_finder": "none",
+    }
     assert 5.0 < vehicle.aids["position"].since_s < 8.0
+
+
+def test_a_range_finder_is_asked_for_and_used():
+    watched = Watched().fly(8.0, range_finder=RangeFinderConfig(fitted=True))
+    aid = watched.snapshot().vehicle.aids["range_finder"]
+    assert (aid.source, aid.state) == ("DISTANCE_SENSOR, range finder", "used")
 
 
 def test_an_aid_that_comes_no_more_is_lost():

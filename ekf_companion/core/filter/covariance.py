@@ -8,11 +8,12 @@ Source: Groves 2013, chapter 14; Sola 2017, section 7 (global angular error).
 
 from __future__ import annotations
 
+import cython
 from cython.cimports.ekf_companion.core.filter.strapdown import forget_pending
 from cython.cimports.ekf_companion.core.memory.enums import (
+    AIDS,
     E_ATT,
     E_BA,
-    E_BARO,
     E_BG,
     E_GNSS,
     E_GNSS_VEL,
@@ -162,7 +163,10 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
         x.P[E_BA + j][E_BA + j] += m.accel_walk
         x.P[E_BA + j][E_BA + j] += m.new_bias
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
-    x.P[E_BARO][E_BARO] += m.baro_walk
+    for aid in range(AIDS):
+        first = cython.cast(cython.Py_ssize_t, k.aid[aid].error)
+        for e in range(first, first + cython.cast(cython.Py_ssize_t, k.aid[aid].errors)):
+            x.P[e][e] += m.aid_walk[aid]
 
 
 def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:

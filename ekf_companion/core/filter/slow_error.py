@@ -5,7 +5,7 @@ With :mod:`.update` and :mod:`.covariance` the only place that writes P.
 
 from __future__ import annotations
 
-from cython.cimports.ekf_companion.core.memory.enums import N
+from cython.cimports.ekf_companion.core.memory.enums import AIDS, N
 from cython.cimports.ekf_companion.core.memory.state import State
 
 
@@ -58,6 +58,12 @@ def copy_error(x: State, e: int, source: int, variance: float) -> None:
         x.P[j][e] = x.P[source][j]
     x.P[e][e] = x.P[source][source] + variance
     x.redrawn[e] += 1.0
+
+
+def forget_offsets(x: State) -> None:
+    """Let the aids' slow errors be found anew, by what each says next."""
+    for aid in range(AIDS):
+        x.has_aid[aid] = 0.0
 
 
 def clear_covariance(x: State) -> None:

@@ -27,11 +27,16 @@ Structs: TypeAlias = Any
 
 def struct(declared: type) -> Any:
     """Return a C struct whose fields are a class's annotations, after those of its bases."""
-    parts = [*(base for base in declared.__bases__ if base is not object), declared]
+    parts = [base for base in _flat(declared) if base is not object]
     hints = [hint for part in parts for hint in vars(part).get("__annotations__", {}).items()]
     fields = [(name, _memory(hint)) for name, hint in hints]
     body = {"__doc__": declared.__doc__, "__module__": declared.__module__, "_fields_": fields}
     return type(declared.__name__, (ctypes.Structure,), body)
+
+
+def _flat(declared: type) -> list[type]:
+    """Return a class after its bases, and those after theirs."""
+    return [*(part for base in declared.__bases__ for part in _flat(base)), declared]
 
 
 def union(declared: type) -> Any:

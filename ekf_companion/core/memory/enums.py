@@ -5,9 +5,16 @@
 
 from enum import IntEnum, IntFlag
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.declare import enum_member
 from ekf_companion.nav.measurements import GnssFlag, Kind
 from ekf_companion.nav.state import Reason, Status
+
+_OTHERS = {
+    one.name.upper(): 6 + i
+    for i, one in enumerate(one for one in DECLARED if one.kind is not Kind.BARO)
+}
+"""Numbers of the aids that only their own files name."""
 
 
 class Aid(IntEnum):
@@ -20,6 +27,7 @@ class Aid(IntEnum):
     BARO = 4
     REST = 5
     """Standing still."""
+    vars().update(_OTHERS)
 
 
 class Verdict(IntEnum):
@@ -192,6 +200,13 @@ E_IRON = 21
 E_GNSS_VEL = 24
 """Slow error of the receiver's velocity, in n."""
 N = 27
+SLOW_ERRORS = {"baro": E_BARO}
+"""Where the slow errors of each aid begin; of those that only their own files name, at the end."""
+for _one in DECLARED:
+    if _one.slow_errors and _one.name not in SLOW_ERRORS:
+        SLOW_ERRORS[_one.name] = N
+        globals()[f"E_{_one.name.upper()}"] = N
+        N += len(_one.slow_errors)
 
 AIDS = len(Aid)
 VERDICTS = len(Verdict)

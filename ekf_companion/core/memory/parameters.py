@@ -5,8 +5,25 @@
 
 from typing import Annotated
 
-from ekf_companion.core.memory.declare import Real, Vector, doubles, struct
-from ekf_companion.core.memory.enums import RUNS
+from ekf_companion.core.memory.declare import Real, Structs, Vector, doubles, struct
+from ekf_companion.core.memory.enums import AIDS, RUNS
+
+
+@struct
+class AidParameters:
+    """The numbers of an aid that declares itself."""
+
+    use: Real
+    std: Real
+    """White noise, of the unit of its measurement."""
+    walk: Real
+    """Random walk of its slow errors, of that unit by sqrt(s)."""
+    speed_walk: Real
+    """The same for each m/s of speed."""
+    error: Real
+    """The first of its slow errors in P."""
+    errors: Real
+    """How many it has."""
 
 
 @struct
@@ -56,10 +73,8 @@ class Parameters:
     heading_time: Real
     field_strength: Real
     field_dip: Real
-    baro_std: Real
-    baro_walk: Real
-    baro_speed_walk: Real
-    use_baro: Real
+    aid: Annotated[Structs, AidParameters, AIDS]
+    """By number; of an aid that has settings of its own all are 0."""
     gate: Annotated[Vector, 3]
     """Largest NIS to fuse, for 1, 2 and 3 degrees of freedom."""
     soft_gate: Annotated[Vector, 3]

@@ -7,7 +7,7 @@ import ctypes
 from typing import Annotated, Any
 
 from ekf_companion.core.memory.declare import Count, Real, Vector, doubles, struct, union
-from ekf_companion.core.memory.enums import RUNS, YAW_FILTERS, YAW_N, N
+from ekf_companion.core.memory.enums import AIDS, RUNS, YAW_FILTERS, YAW_N, N
 from ekf_companion.core.memory.state import Reference, State
 from ekf_companion.nav.measurements import WIDTH
 
@@ -65,14 +65,13 @@ class VehicleRow:
 
 @union
 class Values:
-    """The numbers of one event, by its kind."""
+    """The numbers of one event, by its kind; an aid that declares itself reads ``all``."""
 
     all: Annotated[Vector, WIDTH]
     imu: ImuRow
     gnss: GnssRow
     heading: HeadingRow
     mag: MagRow
-    baro_alt: Real
     vehicle: VehicleRow
 
 
@@ -198,8 +197,8 @@ class Motion:
     """Likewise of an accelerometer bias, (m/s^2)^2."""
     new_bias: Real
     """What that may have jumped by besides, (m/s^2)^2."""
-    baro_walk: Real
-    """Likewise of the barometer's offset, m^2."""
+    aid_walk: Annotated[Vector, AIDS]
+    """Likewise of each of an aid's slow errors, of the square of its unit."""
     slow_dt: Real
     """Time over which the slow errors were carried on with this interval, s; 0: they were not."""
     heading_faded: Real

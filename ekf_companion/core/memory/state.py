@@ -9,12 +9,15 @@ Flags are 0 or 1. What is not known is NaN.
 
 from typing import Annotated
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.declare import Real, Structs, Vector, doubles, struct
 from ekf_companion.core.memory.enums import (
     AIDS,
+    E_GNSS_VEL,
     HEADINGS,
     PAST,
     RUNS,
+    SLOW_ERRORS,
     VERDICTS,
     YAW_FILTERS,
     YAW_N,
@@ -468,8 +471,8 @@ class Lever:
     """Mean square of the change of rate over the last gains of velocity, all axes, (rad/s)^2."""
 
 
-class Estimated:
-    """What is estimated, and what it was learnt from: all of it goes when the filter starts over.
+class Estimates:
+    """What is estimated.
 
     From ``vel_n`` on the errors are differences, in their order in P: :func:`~.overlay.errors`.
     """
@@ -495,8 +498,28 @@ class Estimated:
     """The vehicle's own magnetic field, b, gauss."""
     gnss_vel_offset: Annotated[Vector, 3]
     """Slow error of the receiver's velocity, in n, m/s."""
+
+
+AidErrors = type(
+    "AidErrors",
+    (),
+    {
+        "__annotations__": {
+            f"{one.name}_{error}": Real
+            for one in DECLARED
+            for error in one.slow_errors
+            if SLOW_ERRORS[one.name] > E_GNSS_VEL
+        }
+    },
+)
+"""Slow errors of the aids that only their own files name: ``aid_error``, in its unit."""
+
+
+class Learnt:
+    """What belongs to the estimates: their covariance, and what they were learnt from."""
+
     P: Annotated[Vector, N, N]
-    """Covariance of the error states, E_ATT to E_GNSS_VEL."""
+    """Covariance of the error states, in the order of the estimates."""
     pending: Pending
     gyro: Annotated[Vector, 3]
     """Of the last inertial sample, rad/s."""
@@ -511,9 +534,14 @@ class Estimated:
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
     has_yaw: Real
-    has_baro: Real
+    has_aid: Annotated[Vector, AIDS]
+    """Whether the slow errors of an aid that declares itself have been found, by number."""
     needs_reset: Real
     """:class:`NeedsReset`."""
+
+
+class Estimated(Estimates, AidErrors, Learnt):  # type: ignore[misc, valid-type]
+    """What is estimated, and what it was learnt from: all goes when the filter starts over."""
 
 
 class Evidence:

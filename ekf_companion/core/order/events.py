@@ -5,7 +5,6 @@ from __future__ import annotations
 import cython
 from cython.cimports.ekf_companion.core.memory.enums import (
     FLAG_DERIVED,
-    KIND_BARO,
     KIND_GNSS,
     KIND_HEADING,
     KIND_IMU,
@@ -14,6 +13,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Numbers
 from cython.cimports.ekf_companion.core.memory.scratch import VALUES, Event
+from cython.cimports.ekf_companion.core.order import dispatch
 from cython.cimports.libc.math import fabs, isfinite, isnan
 
 from ekf_companion.nav.measurements import NULL_ISLAND
@@ -79,9 +79,9 @@ def is_sane(kind: int, values: Numbers) -> bool:
             and values[0] * values[0] + values[1] * values[1] + values[2] * values[2] > 1e-6
             and 0.0 <= values[3] < 16.0
         )
-    if kind == KIND_BARO:
-        return fabs(values[0]) < 1e5
-    return kind == KIND_VEHICLE and not isnan(values[0]) and fabs(values[3]) <= 1.0
+    if kind == KIND_VEHICLE:
+        return not isnan(values[0]) and fabs(values[3]) <= 1.0
+    return dispatch.is_possible(kind, values)
 
 
 def is_nowhere(lat: float, lon: float, flags: int) -> bool:

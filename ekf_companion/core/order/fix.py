@@ -11,6 +11,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
+from cython.cimports.ekf_companion.core.filter.slow_error import forget_offsets
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -358,7 +359,7 @@ def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
         gate.begin_reset(x, RESET_HEIGHT)
         reset_height(x, k, w)
         voices.take_height(x)
-        x.has_baro = 0.0
+        forget_offsets(x)
         return
     if not gate.is_timed_out(x, AID_HEIGHT, k.timeout_height) or not gate.is_proven(
         x, AID_HEIGHT, 1, fix.stated_var[1], drift, SHORTEST_RUN

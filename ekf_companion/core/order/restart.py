@@ -16,13 +16,14 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_POSITION,
     AID_VELOCITY,
     AIDS,
+    E_VEL,
     MODE_ATTITUDE,
     MODE_LEVEL,
     RESET_BOUNDS,
     RUNS,
     N,
 )
-from cython.cimports.ekf_companion.core.memory.overlay import clear_estimated
+from cython.cimports.ekf_companion.core.memory.overlay import clear_estimated, errors
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order.interval import inflate_after_gap
@@ -97,13 +98,16 @@ def is_sound(x: State) -> bool:
     """Return whether the state is finite and within physical bounds."""
     speed = 0.0
     bias = 0.0
-    largest = x.q_nb[0] * x.q_nb[0] + fabs(x.baro_offset) + fabs(x.heading_offset)
+    largest = x.q_nb[0] * x.q_nb[0]
+    estimates = errors(x)
     if not fabs(x.gnss_delay) < 1.0:
         return False
     for i in range(3):
         speed += x.vel_n[i] * x.vel_n[i]
         bias += x.gyro_bias[i] * x.gyro_bias[i] * 100.0 + x.accel_bias[i] * x.accel_bias[i]
-        largest += x.q_nb[1 + i] * x.q_nb[1 + i] + fabs(x.pos_n[i])
+        largest += x.q_nb[1 + i] * x.q_nb[1 + i]
+    for i in range(N - E_VEL):
+        largest += fabs(estimates[i])
     for i in range(N):
         if not x.P[i][i] >= 0.0:
             return False

@@ -24,7 +24,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_ANTENNA,
     AZIMUTH_MAGNETIC,
     AZIMUTH_OTHER,
-    KIND_BARO,
     KIND_GNSS,
     KIND_HEADING,
     KIND_MAG,
@@ -38,7 +37,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Structs
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Event, ImuRow, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.order import fix, pressure, yaw
+from cython.cimports.ekf_companion.core.order import aid, dispatch, fix, yaw
 from cython.cimports.ekf_companion.core.order.interval import (
     advance,
     carry_on,
@@ -157,10 +156,12 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
                 rest.forget_field(x)
         else:
             gate.count_heading(x, VERDICT_SUPERSEDED, AZIMUTH_MAGNETIC)
-    elif event.kind == KIND_BARO:
-        pressure.fuse_baro(x, k, w, v.baro_alt)
     elif event.kind == KIND_VEHICLE:
         x.armed = v.vehicle.armed
         x.landed = v.vehicle.landed
         if v.vehicle.tells_delay == 1.0:
             delay.take_told(x, k, v.vehicle.gnss_delay)
+    else:
+        which = dispatch.aid_of(cython.cast(cython.Py_ssize_t, event.kind))
+        if which >= 0:
+            aid.fuse_aid(x, k, w, which, v.all)

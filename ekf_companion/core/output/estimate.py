@@ -13,6 +13,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
+    AIDS,
     AZIMUTH_MAGNETIC,
     E_ATT,
     E_POS,
@@ -181,10 +182,11 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
         out.gyro_bias[i] = x.gyro_bias[i]
         out.accel_bias[i] = x.accel_bias[i]
 
-    # Height without GNSS is over the start, by the barometer
+    # Height without GNSS is over the start, by the aids that found it
     if x.mode < MODE_NAVIGATE:
-        if x.has_baro != 0.0:
-            write_axis(x, y, out, 2)
+        for aid in range(AIDS):
+            if x.has_aid[aid] != 0.0:
+                write_axis(x, y, out, 2)
         return status
     for i in range(3):
         write_axis(x, y, out, i)

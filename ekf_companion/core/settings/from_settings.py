@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.core.memory.aid import DECLARED
+from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid
 from ekf_companion.core.memory.parameters import PARAMETERS, Parameters
 from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from ekf_companion.nav.earth import STANDARD_GRAVITY
@@ -60,8 +62,11 @@ def parameters(
     k.field_strength, k.field_dip = heading.field_strength, heading.field_dip
     k.heading_time, k.heading_floor = heading.slow_time, heading.heading_std
 
-    k.use_baro, k.baro_std, k.baro_walk = settings.baro.use, settings.baro.std, settings.baro.walk
-    k.baro_speed_walk = settings.baro.speed_walk
+    for one in DECLARED:
+        own, numbers_of = getattr(settings, one.name), k.aid[Aid[one.name.upper()]]
+        numbers_of.use, numbers_of.std = own.use, own.std
+        numbers_of.walk, numbers_of.speed_walk = own.walk, own.speed_walk
+        numbers_of.error, numbers_of.errors = SLOW_ERRORS.get(one.name, 0), len(one.slow_errors)
     k.align_time, k.use_rest = settings.align.time, settings.align.use_rest
     k.rest_gyro, k.rest_accel = settings.align.rest_gyro, settings.align.rest_accel
     k.gate[:] = [chi_square_quantile(gate.probability, dof) for dof in (1, 2, 3)]

@@ -6,7 +6,11 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.aids import gnss
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
-from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance, set_variance
+from cython.cimports.ekf_companion.core.filter.slow_error import (
+    forget_offsets,
+    reset_variance,
+    set_variance,
+)
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.constants import UNKNOWN_ANGLE
@@ -57,7 +61,7 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
     if x.origin.is_known == 0.0:
         set_origin(x, w.fix.lat, w.fix.lon, w.fix.alt)
     x.mode = MODE_NAVIGATE
-    x.has_baro = 0.0
+    forget_offsets(x)
     north = x.gnss_offset[0]
     east = x.gnss_offset[1]
     down = x.gnss_offset[2]
@@ -99,6 +103,11 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         # the bank has its own
         set_variance(x, E_BG + i, 0.0)
     x.alignment.reference.is_known = 0.0
+    if x.mode == MODE_NAVIGATE:
+        # it begins at zero, and what it is set to from there is no jump
+        for i in range(3):
+            x.moved.pos_n[i] -= x.pos_n[i]
+            x.moved.vel_n[i] -= x.vel_n[i]
     align.start_filter(x, k, w, x.yaw_bank.tilt_std, x.yaw_bank.gyro_bias_std)
     forget_gain(x)
     x.has_yaw = 1.0

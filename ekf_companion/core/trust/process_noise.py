@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.memory.enums import AZIMUTH_FIELD, E_HEADING
+from cython.cimports.ekf_companion.core.memory.enums import AID_BARO, AIDS, AZIMUTH_FIELD, E_HEADING
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Motion
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -52,12 +52,13 @@ def scale_noise(x: State, k: Parameters, m: Motion) -> None:
     m.new_bias = new * k.accel_bias_std * k.accel_bias_std
     walk.note_gyro_walk(x, m.gyro_walk)
     speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
-    steady = k.baro_walk * k.baro_walk * dt
-    by_speed = k.baro_speed_walk * k.baro_speed_walk * speed2 * dt
-    if k.learn_noise != 0.0:
-        by_speed *= x.walk.speed_share
-    m.baro_walk = steady + by_speed
-    walk.note_baro_walk(x, steady, by_speed, speed2)
+    for aid in range(AIDS):
+        steady = k.aid[aid].walk * k.aid[aid].walk * dt
+        by_speed = k.aid[aid].speed_walk * k.aid[aid].speed_walk * speed2 * dt
+        if aid == AID_BARO:
+            by_speed *= x.walk.speed_share if k.learn_noise != 0.0 else 1.0
+            walk.note_baro_walk(x, steady, by_speed, speed2)
+        m.aid_walk[aid] = steady + by_speed
 
     # What changes within a minute need not be carried on every few milliseconds
     x.slow_dt += dt

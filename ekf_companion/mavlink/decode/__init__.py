@@ -6,6 +6,7 @@ arrival is used. What is refused is counted under a reason and has no other effe
 decoder   one autopilot's frames, each to the reader of its message
 context   what the readers share: family, clock, refusals, notes
 inertial  HIGHRES_IMU, RAW_IMU, SCALED_IMU
+aids      the aids that declare themselves: all that one needs of the wire
 air       magnetometer and barometer, whichever message carries them
 position  GPS_RAW_INT, GLOBAL_POSITION_INT
 heading   the autopilot's own heading

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, DecoderOptions, Family, Measurements
 from ekf_companion.mavlink.decode.heading import Heading
@@ -42,6 +43,7 @@ class Decoder(DecoderState):
         self._ranked = [self.inertial, self.mag, self.baro, self.heading]
         self.position = Position(self.context, self.heading)
         self._receiver = Receiver(self.context, self.vehicle)
+        self._aids = [reader(self.context) for reader in aids.READERS]
         readers: dict[str, Callable[[Frame], Measurements]] = {
             "HIGHRES_IMU": self.inertial.highres_imu,
             "RAW_IMU": self.inertial.raw_imu,
@@ -58,13 +60,14 @@ class Decoder(DecoderState):
             "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
             "SYSTEM_TIME": self.vehicle.system_time,
             "PARAM_VALUE": self._param_value,
+            **{reader.message: reader.read for reader in self._aids},
         }
         self.readers = {IDS[name]: reader for name, reader in readers.items()}
         self.held: list[tuple[Frame, Measurements]] = []
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (*self._ranked, self.position, self.trim):
+        for reader in (*self._ranked, self.position, self.trim, *self._aids):
             reader.forget()
         if step is Step.BEGUN:
             self.vehicle.forget()

@@ -8,7 +8,7 @@ import { showEvents, showFacts, showSample, showTable, showVerdict, speedOf } fr
 
 const OLD = 1; // s without an inertial sample: OLD_S of status/judge.py
 const RECENT = 3; // s since an aid was refused, or used: LAPSE_NS of status/aids.py
-const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
+const AIDS = document.documentElement.dataset.aids.split(" ");
 const dashed = { colour: "autopilot", dash: [6, 4] };
 const axes = ["x", "y", "z"].map((name, i) => ({ name, colour: `c${i + 1}` }));
 const aids = AIDS.map((name, i) => ({ name, colour: `c${i + 1}` }));

@@ -1,0 +1,88 @@
+"""Range finder: the distance to the ground along the body's down axis.
+
+The ground's height is a slow error: it changes as the vehicle moves over it. Its slope adds to the
+noise of a beam that is not upright.
+"""
+
+from __future__ import annotations
+
+import cython
+from cython.cimports.ekf_companion.core.filter.observation import clear
+from cython.cimports.ekf_companion.core.filter.slow_error import copy_error
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_RANGE_FINDER,
+    E_ATT,
+    E_POS,
+    E_RANGE_FINDER,
+)
+from cython.cimports.ekf_companion.core.memory.overlay import Vector
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
+from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.libc.math import isnan, sqrt
+
+from ekf_companion.core.memory.aid import SlowError, Value, aid
+from ekf_companion.nav.measurements import Kind
+
+UPRIGHT = cython.declare(cython.double, 0.7071)
+"""Least cosine of the tilt at which the beam is taken to meet the ground below: 45 deg, as both
+autopilots have it (PX4's ``range_cos_max_tilt``, ArduPilot's ``DCM33FlowMin``)."""
+SCALE_STD = cython.declare(cython.double, 0.02)
+"""One sigma of the scale: data sheets of small laser and sonar range finders state 1 to 3 %."""
+SLOPE_STD = cython.declare(cython.double, 0.1)
+"""One sigma of the ground's slope: 6 deg."""
+
+
+@aid(
+    Kind.RANGE,
+    words="range to the ground",
+    sensor="range finder",
+    advice="Look at what it points at, raise range_finder.std, or range_finder.use = false.",
+)
+class RangeFinder:
+    """The distance to the ground along the body's down axis."""
+
+    range = Value("m", 0.0, 1e4)
+    std = Value("m", 0.0, 1e3, is_optional=True)
+    ground = SlowError("m")
+
+
+def upright(x: State) -> float:
+    """Return the cosine of the tilt."""
+    return 1.0 - 2.0 * (x.q_nb[1] * x.q_nb[1] + x.q_nb[2] * x.q_nb[2])
+
+
+def variance(k: Parameters, row: Vector, c: float) -> float:
+    """Return the variance of a range, m^2: white noise, scale, and slope where it is tilted."""
+    std = k.aid[AID_RANGE_FINDER].std
+    if not isnan(row[1]) and row[1] > std:
+        std = row[1]
+    scale = SCALE_STD * row[0]
+    slope = SLOPE_STD * row[0] * sqrt(1.0 - c * c)
+    return std * std + scale * scale + slope * slope
+
+
+def begin(x: State, k: Parameters, row: Vector) -> bool:
+    """Find the ground below the estimated height, whose error it has from then on."""
+    c = upright(x)
+    if c < UPRIGHT:
+        return False
+    x.range_finder_ground = x.pos_n[2] + row[0] * c
+    copy_error(x, E_RANGE_FINDER, E_POS + 2, variance(k, row, c) * c * c)
+    return True
+
+
+def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
+    """Observe the way to the ground along the body's down axis: one row; not while it is tilted."""
+    c = upright(x)
+    if c < UPRIGHT:
+        return False
+    clear(o, 1, variance(k, row, c))
+    way = (x.range_finder_ground - x.pos_n[2]) / c
+    o.z[0] = row[0] - way
+    # theta turns the down axis: theta x C e3, of which the third component is the cosine
+    o.H[0][E_ATT] = -way / c * 2.0 * (x.q_nb[2] * x.q_nb[3] - x.q_nb[0] * x.q_nb[1])
+    o.H[0][E_ATT + 1] = way / c * 2.0 * (x.q_nb[1] * x.q_nb[3] + x.q_nb[0] * x.q_nb[2])
+    o.H[0][E_POS + 2] = -1.0 / c
+    o.H[0][E_RANGE_FINDER] = 1.0 / c
+    return True

@@ -1,0 +1,91 @@
+"""What an aid declares of itself: from that the layout, the bounds and the dispatch are made.
+
+An aid is a file of ``core/aids`` with a class that ``@aid`` marks. Memory is laid out before any
+aid is compiled, so the class is read from the source of its file, and nothing else of it.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ekf_companion.nav.measurements import WIDTH, Kind
+
+FOLDER = Path(__file__).parent.parent / "aids"
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A number of the aid's row, which no sensor can have at or beyond its bounds."""
+
+    unit: str
+    low: float
+    high: float
+    is_optional: bool = False
+    """NaN stands for: not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlowError:
+    """One error state, which walks by the settings ``walk`` and ``speed_walk``."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Aid:
+    """An aid, as its file declares it."""
+
+    name: str
+    """Of its file, of its settings and of its column."""
+    kind: Kind
+    words: str
+    """What it measures, as a user calls it."""
+    sensor: str
+    """What measures it."""
+    advice: str
+    """What helps where it is refused."""
+    row: dict[str, Value]
+    """By name; they stand in this order from the first number of the row."""
+    slow_errors: dict[str, SlowError]
+
+
+def aid(kind: Kind, *, words: str, sensor: str, advice: str) -> Callable[[type], type]:
+    """Mark the class that declares an aid; its values and slow errors are what it assigns."""
+
+    def mark(declared: Any) -> type:
+        row = {key: one for key, one in vars(declared).items() if isinstance(one, Value)}
+        errors = {key: one for key, one in vars(declared).items() if isinstance(one, SlowError)}
+        if len(row) > WIDTH:
+            raise ValueError(f"{declared.__name__}: a row has {WIDTH} numbers, this {len(row)}")
+        name = declared.__module__.rpartition(".")[2]
+        declared.found = Aid(name, kind, words, sensor, advice, row, errors)
+        return declared
+
+    return mark
+
+
+def _read(path: Path) -> Aid | None:
+    """Return what a file declares; None: it is no aid of its own."""
+    text = path.read_text(encoding="utf-8")
+    if "\n@aid(" not in text:
+        return None
+    node = next(one for one in ast.parse(text).body if isinstance(one, ast.ClassDef))
+    names: dict[str, Any] = {one.__name__: one for one in (aid, Value, SlowError, Kind)}
+    names["__name__"] = path.stem
+    exec(compile(ast.Module([node], []), path, "exec"), names)
+    found: Aid = names[node.name].found
+    return found
+
+
+DECLARED = tuple(
+    sorted(
+        (found for path in FOLDER.glob("*.py") if (found := _read(path)) is not None),
+        key=lambda one: one.kind,
+    )
+)
+"""All that are declared, by kind."""
+BY_KIND = {one.kind: one for one in DECLARED}

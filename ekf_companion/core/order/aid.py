@@ -1,0 +1,48 @@
+"""An aid that declares itself: whether it counts now, and when its slow errors are found anew."""
+
+from __future__ import annotations
+
+from cython import address
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    MODE_LEVEL,
+    VERDICT_FUSED,
+    VERDICT_SUPERSEDED,
+    VERDICT_SUSPECT,
+    VOICE_BARO,
+)
+from cython.cimports.ekf_companion.core.memory.overlay import Vector
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
+from cython.cimports.ekf_companion.core.memory.scratch import Scratch
+from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.order import dispatch
+from cython.cimports.ekf_companion.core.trust import gate, voices
+
+
+def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None:
+    """Fuse a measurement; the first one gives the slow errors, with what the estimate lacks."""
+    o = address(w.observation)
+    if k.aid[aid].use == 0.0 or x.mode == MODE_LEVEL:
+        gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+        return
+    if aid == AID_BARO:
+        voices.add_baro(x, row[0])
+        if x.voices.loser == VOICE_BARO:
+            # it is heard again from where it will be then
+            x.has_aid[aid] = 0.0
+            gate.count_verdict(x, aid, VERDICT_SUSPECT)
+            return
+    if x.has_aid[aid] != 0.0:
+        if not dispatch.observe(x, k, o, aid, row):
+            gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+            return
+        if gate.fuse(x, k, o, aid):
+            return
+        if not gate.is_timed_out(x, aid, k.timeout_height):
+            return
+    if not dispatch.begin(x, k, aid, row):
+        gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+        return
+    x.has_aid[aid] = 1.0
+    x.used_t[aid] = x.t
+    gate.count_verdict(x, aid, VERDICT_FUSED)

@@ -1,0 +1,118 @@
+"""What every aid that declares itself has to keep: bounds, Jacobian, first reading, words."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ekf_companion.core.memory.aid import BY_KIND, DECLARED, SlowError, Value, aid
+from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid, N
+from ekf_companion.core.memory.overlay import errors
+from ekf_companion.core.memory.scratch import Observation
+from ekf_companion.core.order.timeline import Timeline
+from ekf_companion.core.settings.from_settings import delays_ns, parameters
+from ekf_companion.core.settings.settings import FilterSettings
+from ekf_companion.engine.health import Arrival
+from ekf_companion.nav.measurements import WIDTH, Kind
+from ekf_companion.status.aids import sources_of
+from tests.core.interpreted import load
+from tests.core.jacobian import check
+from tests.core.states import a_state, array, some_parameters
+
+ALL = pytest.mark.parametrize("aid", DECLARED, ids=[one.name for one in DECLARED])
+
+
+def number_of(aid):
+    return Aid[aid.name.upper()]
+
+
+def usual(aid):
+    """Return a row in the middle of what the sensor says, what is optional not known."""
+    return [math.nan if one.is_optional else min(0.5 * one.high, 7.0) for one in aid.row.values()]
+
+
+def level(seed):
+    """Return a state that is tilted by less than any aid refuses."""
+    x = a_state(seed)
+    tilt = np.random.default_rng(seed).uniform(-0.2, 0.2, 2)
+    x.q_nb[:] = np.array([1.0, *tilt, 0.4]) / np.linalg.norm([1.0, *tilt, 0.4])
+    for name, first in SLOW_ERRORS.items():
+        for i, _ in enumerate(next(one for one in DECLARED if one.name == name).slow_errors):
+            errors(x)[first - 3 + i] = x.pos_n[2] + 5.0
+    return x
+
+
+def parameters_of(aid):
+    k = some_parameters()
+    k.aid[number_of(aid)].std = 0.5
+    return k
+
+
+@ALL
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_its_jacobian_is_the_slope_of_the_prediction(aid, seed):
+    module, number = load().dispatch, number_of(aid)
+    check(lambda x, k, o: module.observe(x, k, o, number, usual(aid)), level(seed), 1e-5)
+
+
+@ALL
+def test_its_first_reading_shows_its_slow_errors_and_nothing_else(aid):
+    """After it the same reading is no news, and its error is the estimate's and white noise."""
+    x, k, o, module = level(1), parameters_of(aid), Observation(), load().dispatch
+    root = np.random.default_rng(1).normal(size=(N, N))
+    P = array(x.P)
+    P[:] = root @ root.T
+    before, kept = P.copy(), np.array(errors(x))
+    assert module.begin(x, k, number_of(aid), usual(aid))
+    assert module.observe(x, k, o, number_of(aid), usual(aid))
+    assert list(o.z)[: o.rows] == pytest.approx([0.0] * o.rows, abs=1e-12)
+    first = SLOW_ERRORS[aid.name]
+    own = range(first, first + len(aid.slow_errors))
+    others = [i for i in range(N) if i not in own]
+    assert np.array_equal(P[np.ix_(others, others)], before[np.ix_(others, others)])
+    assert [i + 3 for i in np.flatnonzero(np.array(errors(x)) != kept)] == [*own]
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P).min() > -1e-9 * np.linalg.eigvalsh(P).max()
+
+
+@ALL
+def test_its_bounds_are_kept_at_the_door(aid):
+    settings = FilterSettings()
+    row = usual(aid)
+    bad = []
+    for i, value in enumerate(aid.row.values()):
+        bad += [[*row[:i], one, *row[i + 1 :]] for one in (value.low, value.high, -math.inf)]
+        if not value.is_optional:
+            bad.append([*row[:i], math.nan, *row[i + 1 :]])
+    timeline = Timeline(parameters(settings, "px4"), delays_ns(settings, "px4"), 2.0)
+    for n, values in enumerate([row, *bad]):
+        filled = (*values, *[0.0] * (WIDTH - len(values)))
+        arrival = timeline.insert(1_000_000_000 + n, aid.kind, filled)
+        assert (arrival == Arrival.MALFORMED) == (n > 0), values
+
+
+@ALL
+def test_it_is_found_by_whoever_speaks_of_it(aid):
+    assert BY_KIND[aid.kind] is aid
+    own = getattr(FilterSettings(), aid.name)
+    assert own.use
+    assert min(own.std, own.walk, own.speed_walk) > 0.0
+    sources = sources_of(0, is_autopilots=False, ranks=(0, 0, 0, 0), receiver=0)
+    assert sources[number_of(aid)].endswith(f", {aid.sensor}")
+    assert aid.advice.endswith(".")
+    assert f"{aid.name}.std" in aid.advice
+    assert aid.words == aid.words.lower() != aid.sensor
+
+
+def test_a_row_that_is_too_wide_is_refused():
+    declared = type("Wide", (), {f"v{i}": Value("m", 0.0, 1.0) for i in range(WIDTH + 1)})
+    with pytest.raises(ValueError, match=f"a row has {WIDTH} numbers, this {WIDTH + 1}"):
+        aid(Kind.BARO, words="", sensor="", advice="")(declared)
+
+
+def test_the_class_of_an_aid_is_read_as_it_is_compiled():
+    for one in DECLARED:
+        module = load().__dict__[one.name]
+        found = next(c.found for c in vars(module).values() if hasattr(c, "found"))
+        assert found == one
+        assert all(isinstance(error, SlowError) for error in one.slow_errors.values())
