@@ -186,7 +186,7 @@ def test_a_barometer_that_is_refused_is_told():
 
 def test_a_range_finder_that_bounces_is_told_and_harms_nothing_else():
     fitted = RangeFinderConfig(fitted=True)
-    watched = stand(f"range-bounce:start=8,{WHOLE}", duration=12.5, range_finder=fitted)
+    watched = stand(f"range-bounce:start=8,{WHOLE},lowest=5", duration=12.5, range_finder=fitted)
     found = verdict(watched)
     assert found.reasons == ("range finder refused: outside its gate",)
     assert watched.snapshot().estimator.status is Status.OK
