@@ -21,6 +21,7 @@ def sources(tmp_path_factory):
     compiled = shutil.ignore_patterns("*.so", "*.c", "__pycache__")
     package = Path(ekf_companion.__file__).parent
     shutil.copytree(package, folder / "ekf_companion", ignore=compiled)
+    (folder / "ekf_companion/core/order/dispatch.py").unlink()
     return folder
 
 
@@ -69,3 +70,9 @@ def test_sources_that_are_interpreted_warn_of_the_time_that_takes(sources):
 def test_what_is_compiled_says_nothing():
     done = run(Path(ekf_companion.__file__).parents[1], "import ekf_companion.core", "-W", "error")
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_a_build_writes_is_made_in_memory_where_there_was_none(sources):
+    code = "from ekf_companion.core.order import dispatch as d; print(d.aid_of(4), d.aid_of(1))"
+    done = run(sources, "import ekf_companion.core; " + code, "-W", "ignore")
+    assert done.stdout == "4 -1\n", done.stderr

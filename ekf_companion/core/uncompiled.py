@@ -11,25 +11,34 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from pathlib import Path
 from types import ModuleType
 
 import cython
 
+from ekf_companion.core.memory import dispatch
+
 CIMPORTS = "cython.cimports."
 OURS = CIMPORTS + "ekf_companion"
+MADE, MADE_FILE = "ekf_companion.core.order.dispatch", Path(__file__).parent / "order/dispatch.py"
+"""What a build writes, and a checkout where nothing was built lacks."""
 
 
 class _Cimports(MetaPathFinder, Loader):
-    """Finds ``cython.cimports.ekf_companion`` and all below it."""
+    """Finds ``cython.cimports.ekf_companion`` and all below it, and what nobody has built."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         del path, target
         is_ours = name == OURS or name.startswith(OURS + ".")
+        is_ours |= name == MADE and not MADE_FILE.exists()
         return ModuleSpec(name, self, is_package=True) if is_ours else None
 
     def exec_module(self, module: ModuleType) -> None:
+        if module.__name__ == MADE:
+            exec(compile(dispatch.source(), MADE, "exec"), vars(module))
+            return
         source = import_module(module.__name__.removeprefix(CIMPORTS))
         vars(module)["__getattr__"] = source.__getattribute__
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from ekf_companion.engine.estimate_announcer import EstimateAnnouncer, journal_fields
 from ekf_companion.engine.pilot import PilotTexts
+from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.event import (
     Advised,
     Clash,
@@ -42,6 +43,7 @@ _SPARE = {
     "GPS2_RAW": "vehicles with two receivers have it",
     "SCALED_IMU2": "vehicles with two compasses have it",
     "SCALED_IMU3": "vehicles with three compasses have it",
+    **dict.fromkeys(aids.RATES, "vehicles with such a sensor have it"),
 }
 """Messages that a vehicle may do without, and who may not."""
 

@@ -43,18 +43,27 @@ _FIELDS = ("current_distance", "min_distance", "max_distance")
 
 
 def _rfnd(table: Table) -> tuple[Mask, tuple[Array, ...]]:
-    """Return the ranges of RFND, of the first instance that looks down.
+    """Return the ranges of RFND of the first sensor that looks down.
 
-    Source: ArduPilot, ``AP_RangeFinder`` (Write_RFND); before 4.0 two sensors stood in one row.
+    Source: ArduPilot, ``LogStructure.h``. Before 3.5 no orientation is logged; then two sensors
+    stand in a row, and since 4.0 each in its own.
     """
-    suffix = "" if "Dist" in table else "1"
-    distance = np.asarray(table[f"Dist{suffix}"], dtype=float)
-    good = np.asarray(table[f"Orient{suffix}"]) == DOWN
-    if "Stat" in table:
-        good &= np.asarray(table["Stat"]) == GOOD
-    if "Instance" in table:
-        good &= np.asarray(table["Instance"]) == 0
-    return good & (distance > 0.0), (distance, np.full(len(distance), np.nan))
+    for suffix in ("", "1", "2"):
+        names = f"Dist{suffix}", f"Orient{suffix}"
+        if not {*names} <= {*table}:
+            continue
+        distance, orientation = (np.asarray(table[name]) for name in names)
+        if {distance.dtype.kind, orientation.dtype.kind} - {*"iuf"}:
+            continue
+        good = (orientation == DOWN) & (distance > 0.0)
+        if (status := table.get(f"Stat{suffix}")) is not None:
+            good &= np.asarray(status) == GOOD
+        if good.any() and "Instance" in table:
+            good &= np.asarray(table["Instance"]) == np.asarray(table["Instance"])[good].min()
+        if good.any():
+            return good, (distance.astype(float), np.full(len(distance), np.nan))
+    nothing = np.full(len(next(iter(table.values()), ())), np.nan)
+    return np.isfinite(nothing), (nothing, nothing)
 
 
 def _distance_sensor(topic: Table) -> tuple[Mask, tuple[Array, ...]]:

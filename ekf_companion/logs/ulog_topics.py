@@ -95,7 +95,10 @@ def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
     ]
     found: Stored = {}
     for table in usable:
-        found.setdefault(table.topic, table.rows)
+        aid = aids.ULOG.get(table.topic)
+        # Of an aid's sensors the first that measures what the aid wants
+        if aid is None or aid[1].read(columns_of(table.rows.all()))[0].any():
+            found.setdefault(table.topic, table.rows)
     found |= ulog_instances.choose(log, usable, notes)
     for name in ulog_instances.ASKED:
         found.pop(name, None)

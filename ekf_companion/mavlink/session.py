@@ -70,8 +70,8 @@ RATES: Mapping[str, float] = {
     "SCALED_IMU3": 10.0,
     **aids.RATES,
 }
-"""Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late. The last
-three are for a second receiver and other compasses, and as slow as suffices to watch them."""
+"""Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late. Of
+a second receiver and of other compasses it is as slow as suffices to watch them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -175,7 +175,7 @@ class VehicleEstimate:
     """How fast it turns, about any axis, deg/s."""
     sigma: Sigmas
     aids: Mapping[str, AidState]
-    """By aid: ``position``, ``height``, ``velocity``, ``heading``, ``baro``, ``rest``."""
+    """By aid, as :class:`~ekf_companion.engine.health.Aid` names them: ``position``, ``baro``."""
     drift: Drift
     autopilot: AutopilotState | None
     """None: it has sent neither attitude nor position."""

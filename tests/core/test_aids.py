@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.memory.aid import BY_KIND, DECLARED, SlowError, Value, aid
-from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid, N
+from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid, Mode, N
 from ekf_companion.core.memory.overlay import errors
 from ekf_companion.core.memory.scratch import Observation
 from ekf_companion.core.order.timeline import Timeline
@@ -34,6 +34,7 @@ def usual(aid):
 def level(seed):
     """Return a state that is tilted by less than any aid refuses."""
     x = a_state(seed)
+    x.mode = Mode.NAVIGATE
     tilt = np.random.default_rng(seed).uniform(-0.2, 0.2, 2)
     x.q_nb[:] = np.array([1.0, *tilt, 0.4]) / np.linalg.norm([1.0, *tilt, 0.4])
     for name, first in SLOW_ERRORS.items():

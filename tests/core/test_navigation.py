@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.memory.enums import (
+    AIDS,
     E_ATT,
     E_BG,
     E_GNSS,
@@ -229,3 +230,16 @@ def test_a_velocity_that_nothing_shows_is_none_within_5_m_s(first, axes):
         assert x.moved.vel_n[axis] == (-before.vel_n[axis] if is_reset else 0.0)
         e = E_VEL + axis
         assert x.P[e][e] == (25.0 if is_reset else before.P[e][e])
+
+
+def test_a_height_that_was_wrong_leaves_no_aid_but_the_barometer_at_it():
+    core = load()
+    resets = (
+        lambda x: core.navigation.reset_height(x, settings(), scratch()),
+        core.voices.doubt_height,
+    )
+    for doubt in resets:
+        x = flown()
+        x.has_aid[:] = [1.0] * AIDS
+        doubt(x)
+        assert [Aid(i) for i, has in enumerate(x.has_aid) if has] == [Aid.BARO]

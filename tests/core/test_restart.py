@@ -136,11 +136,12 @@ def spoilt() -> State:
 def test_an_earlier_state_takes_the_place_of_an_unsound_one():
     x, good, age = spoilt(), flown(), 0.5
     good.t = NOW - age * 1e9
+    x.has_aid[Aid.RANGE_FINDER], good.has_aid[Aid.BARO] = 1.0, 1.0
     before = copy(good)
     load().restart.recover(x, parameters(), good, NOW)
     assert load().restart.is_sound(x)
     assert bytes(good) == bytes(before)
-    for field in ("q_nb", "vel_n", "pos_n", "gyro_bias", "gnss_offset"):
+    for field in ("q_nb", "vel_n", "pos_n", "gyro_bias", "gnss_offset", "has_aid"):
         assert list(getattr(x, field)) == list(getattr(good, field)), field
     assert (x.mode, x.t, x.pending.dt) == (Mode.NAVIGATE, NOW, 0.0)
     # it is as uncertain as after a gap of that length, and only that

@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import struct
 
 import numpy as np
 import pytest
@@ -10,14 +11,18 @@ from ekf_companion import estimate
 from ekf_companion.config.config import load_config
 from ekf_companion.core.settings.settings import FilterSettings, RangeFinderSettings
 from ekf_companion.errors import ConfigError, DataError
+from ekf_companion.logs import dataflash, ulog
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.replay.filters_by_name import run_filter
 from ekf_companion.review.convert import convert as to_file
 from tests.core.flights import flight
+from tests.logs.test_dataflash import Writer as DataFlashWriter
+from tests.logs.test_dataflash import of_kind
 from tests.paths import DATA
 from tests.rows import Rows, convert
+from tests.rows import write as write_rows
 
 WITHOUT = FilterSettings(range_finder=RangeFinderSettings(use=False))
 LAST_FIX = 300.0
@@ -136,16 +141,72 @@ def test_it_is_read_from_every_format(rows, kind, tmp_path):
 
 def test_arrays_take_it_by_name():
     one = Ranged("hover", 1)
-    imu = one.events.take(one.events.kind == Kind.IMU)
+    imu, fixes = (one.events.take(one.events.kind == kind) for kind in (Kind.IMU, Kind.GNSS))
     given = {"time": imu.t_ns, "gyro": imu.values[:, :3], "accel": imu.values[:, 3:6]}
+    names = ("lat_rad", "lon_rad", "alt")
+    given["gnss"] = {
+        "time": fixes.t_ns,
+        **dict(zip(names, fixes.values[:, :3].T, strict=True)),
+        "vel_n": fixes.values[:, 3:6],
+    }
     ranges = {"time": one.t_ns, "range": one.ranges}
-    found = estimate(**given, aids={"range_finder": ranges})
-    assert np.isfinite(found.pos_n[-1, 2])  # of height alone
-    assert np.isnan(estimate(**given).pos_n[-1, 2])
+    given["aids"] = {"range_finder": ranges}
+    found, without = estimate(**given), estimate(**{**given, "aids": ()})
+    assert not np.array_equal(found.pos_n, without.pos_n)
     with pytest.raises(ConfigError, match="aids: sonar: there is none of this name; known are "):
-        estimate(**given, aids={"sonar": ranges})
+        estimate(**{**given, "aids": {"sonar": ranges}})
+    nothing = {"time": one.t_ns, "std": one.ranges}
     with pytest.raises(DataError, match="range_finder: needs range"):
-        estimate(**given, aids={"range_finder": {"time": one.t_ns, "std": one.ranges}})
+        estimate(**{**given, "aids": {"range_finder": nothing}})
+
+
+def test_without_a_position_it_claims_no_height():
+    """In a steady turn nothing shows the tilt before there are fixes, and a range is no height."""
+    one = Ranged("loiter", 1)
+    kept = one.events.take(np.isin(one.events.kind, (Kind.IMU, Kind.MAG)))
+    std = np.full(len(one.t_ns), np.nan)
+    events = merge(kept, Events.from_columns(one.t_ns, Kind.RANGE, one.ranges, std))
+    table = run_filter(Recording(family="px4", events=events), "eskf", FilterSettings()).table
+    assert np.isfinite(table.column("q_w")).any()
+    assert not np.isfinite(table.column("pos_d")).any()
+
+
+RFND = {
+    "3.4": ("QCC", "TimeUS,Dist1,Dist2", (250, 300), None),
+    "3.5": ("QCBCB", "TimeUS,Dist1,Orient1,Dist2,Orient2", (300, 0, 250, 25), 2.5),
+    "status": ("QCBBCBB", "TimeUS,Dist1,Stat1,Orient1,Dist2,Stat2,Orient2", (250, 4, 25) * 2, 2.5),
+    "far": ("QCBBCBB", "TimeUS,Dist1,Stat1,Orient1,Dist2,Stat2,Orient2", (4000, 3, 25) * 2, None),
+    "4.0": ("QBCBB", "TimeUS,Instance,Dist,Stat,Orient", (1, 250, 4, 25), 2.5),
+    "4.6": ("QBfBBb", "TimeUS,Instance,Dist,Stat,Orient,Quality", (0, 2.5, 4, 25, 80), 2.5),
+    "forward": ("QBfBBb", "TimeUS,Instance,Dist,Stat,Orient,Quality", (0, 2.5, 4, 0, 80), None),
+}
+
+
+@pytest.mark.parametrize("layout", RFND)
+def test_every_layout_of_rfnd_is_read_or_left_out(layout, tmp_path):
+    characters, columns, values, expected = RFND[layout]
+    log = DataFlashWriter()
+    log.define(1, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.define(2, "RFND", characters, columns)
+    for n in range(100):
+        log.row("IMU", 1_000_000 + 10_000 * n, 0, 0.0, 0.0, 0.0, 0.1 * (n % 2), 0.0, -9.8)
+        log.row("RFND", 1_000_000 + 10_000 * n, *values)
+    path = tmp_path / "range.bin"
+    path.write_bytes(log.data)
+    ranges = of_kind(dataflash.read(path), Kind.RANGE).values[:, 0]
+    if expected is None:
+        assert not len(ranges)
+    else:
+        assert ranges == pytest.approx(np.full(100, expected))
+
+
+def test_of_a_ulog_a_sensor_that_looks_elsewhere_counts_not(rows, tmp_path):
+    path = write_rows(rows, "ulg", tmp_path)
+    looking = path.read_bytes()
+    down = struct.pack("<bB", -1, 25)
+    assert len(of_kind(ulog.read(path), Kind.RANGE)) == len(rows.ranges)
+    path.write_bytes(looking.replace(down, struct.pack("<bB", -1, 0)))
+    assert not len(of_kind(ulog.read(path), Kind.RANGE))
 
 
 def test_on_a_real_flight_it_holds_the_height_when_fixes_and_barometer_are_gone(tmp_path):

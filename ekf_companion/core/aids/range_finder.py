@@ -1,7 +1,8 @@
 """Range finder: the distance to the ground along the body's down axis.
 
 The ground's height is a slow error: it changes as the vehicle moves over it. Its slope adds to the
-noise of a beam that is not upright.
+noise of a beam that is not upright. Before there is a position nothing shows that a steady turn is
+none of level flight: by the tilt of then no range can be judged.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
     E_POS,
     E_RANGE_FINDER,
+    MODE_NAVIGATE,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -65,7 +67,7 @@ def variance(k: Parameters, row: Vector, c: float) -> float:
 def begin(x: State, k: Parameters, row: Vector) -> bool:
     """Find the ground below the estimated height, whose error it has from then on."""
     c = upright(x)
-    if c < UPRIGHT:
+    if c < UPRIGHT or x.mode != MODE_NAVIGATE:
         return False
     x.range_finder_ground = x.pos_n[2] + row[0] * c
     copy_error(x, E_RANGE_FINDER, E_POS + 2, variance(k, row, c) * c * c)
@@ -75,7 +77,7 @@ def begin(x: State, k: Parameters, row: Vector) -> bool:
 def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
     """Observe the way to the ground along the body's down axis: one row; not while it is tilted."""
     c = upright(x)
-    if c < UPRIGHT:
+    if c < UPRIGHT or x.mode != MODE_NAVIGATE:
         return False
     clear(o, 1, variance(k, row, c))
     way = (x.range_finder_ground - x.pos_n[2]) / c

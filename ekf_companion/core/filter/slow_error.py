@@ -5,7 +5,7 @@ With :mod:`.update` and :mod:`.covariance` the only place that writes P.
 
 from __future__ import annotations
 
-from cython.cimports.ekf_companion.core.memory.enums import AIDS, N
+from cython.cimports.ekf_companion.core.memory.enums import AID_BARO, AIDS, N
 from cython.cimports.ekf_companion.core.memory.state import State
 
 
@@ -64,6 +64,13 @@ def forget_offsets(x: State) -> None:
     """Let the aids' slow errors be found anew, by what each says next."""
     for aid in range(AIDS):
         x.has_aid[aid] = 0.0
+
+
+def forget_other_offsets(x: State) -> None:
+    """Do so where the height was wrong; the barometer's is judged with the height."""
+    for aid in range(AIDS):
+        if aid != AID_BARO:
+            x.has_aid[aid] = 0.0
 
 
 def clear_covariance(x: State) -> None:

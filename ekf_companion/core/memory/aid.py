@@ -83,7 +83,7 @@ def _read(path: Path) -> Aid | None:
 
 DECLARED = tuple(
     sorted(
-        (found for path in FOLDER.glob("*.py") if (found := _read(path)) is not None),
+        (found for path in FOLDER.glob("[!.]*.py") if (found := _read(path)) is not None),
         key=lambda one: one.kind,
     )
 )

@@ -4,6 +4,7 @@
 """
 
 from enum import IntEnum, IntFlag
+from typing import Any
 
 from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.declare import enum_member
@@ -17,6 +18,11 @@ _OTHERS = {
 """Numbers of the aids that only their own files name."""
 
 
+def _add_others(members: dict[str, Any]) -> None:
+    for name, number in _OTHERS.items():
+        members[name] = number  # its own update makes no members before Python 3.11
+
+
 class Aid(IntEnum):
     """What corrects the inertial solution."""
 
@@ -27,7 +33,7 @@ class Aid(IntEnum):
     BARO = 4
     REST = 5
     """Standing still."""
-    vars().update(_OTHERS)
+    _add_others(vars())
 
 
 class Verdict(IntEnum):

@@ -175,7 +175,7 @@ class GnssSettings:
     0.1 m/s or less; of a noisier one it is larger in proportion. 0: there is none."""
     velocity_slow_time: Annotated[Positive, Setting("s", reload=True)] = 20.0
     """Time constant of the slow error of the velocity."""
-    velocity_std_unknown: Annotated[Positive, Setting("m/s", reload=True)] = 0.1
+    velocity_std_unknown: Annotated[Positive, Setting("m/s", reload=True)] = 0.3
     """One sigma of the velocity per axis where the receiver gives none."""
 
 
@@ -253,7 +253,8 @@ class RangeFinderSettings:
     """A range finder that looks down: the height of the ground below is an offset that walks."""
 
     use: Annotated[bool, Setting(reload=True)] = True
-    """Use the range finder. false over water or crops that it looks into."""
+    """Use the range finder, once there is a position. false over water or crops that it looks
+    into."""
     std: Annotated[Positive, Setting("m", reload=True)] = 0.1
     """White noise of the range, if the sensor states no more; 2 % of the range are added, and the
     slope of the ground where the vehicle is tilted."""
@@ -262,8 +263,8 @@ class RangeFinderSettings:
     2 m in 12 s or a lift that moves by 0.5 m/s the height stays within 5 sigma; with a tenth of it,
     it does not. Lower it where nothing below moves."""
     speed_walk: Annotated[NotNegative, Setting("m/sqrt(s) per m/s", reload=True)] = 0.1
-    """Random walk of the ground's height for each m/s of speed: how rough it is. As large as
-    ArduPilot's EK3_TERR_GRAD; raise it over woods and roofs."""
+    """Random walk of the ground's height for each m/s of speed: how rough it is. Raise it over
+    woods and roofs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

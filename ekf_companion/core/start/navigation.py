@@ -8,6 +8,7 @@ from cython.cimports.ekf_companion.core.aids import gnss
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
 from cython.cimports.ekf_companion.core.filter.slow_error import (
     forget_offsets,
+    forget_other_offsets,
     reset_variance,
     set_variance,
 )
@@ -172,6 +173,7 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
 def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     """Set the height from a fix, which has its slow error."""
     o = address(w.observation)
+    forget_other_offsets(x)
     x.gnss_offset[2] = 0.0
     reset_variance(x, E_GNSS + 2, 1, x.gnss_offset_var[1])
     reset_variance(x, E_POS + 2, 1, ANY)

@@ -10,7 +10,11 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
+from cython.cimports.ekf_companion.core.filter.slow_error import (
+    add_covariance,
+    add_variance,
+    forget_other_offsets,
+)
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
@@ -242,13 +246,15 @@ def agrees(pair: float, other: float, third: float) -> bool:
 def doubt_height(x: State) -> None:
     """Doubt the height by half of what the voices differ by: until now it was led astray.
 
-    An offset of the barometer that was found by a wrong height is wrong by as much.
+    An offset of the barometer that was found by a wrong height is wrong by as much; those of other
+    aids are found anew.
     """
     voices = address(x.voices)
     doubt = 0.0
     for i in range(3):
         doubt += 0.25 * voices.smooth[i] * voices.smooth[i]
     add_variance(x, E_POS + 2, doubt)
+    forget_other_offsets(x)
     if voices.loser != VOICE_BARO:
         add_variance(x, E_BARO, doubt)
         add_covariance(x, E_POS + 2, E_BARO, doubt)
