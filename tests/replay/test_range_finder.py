@@ -107,6 +107,24 @@ def test_over_any_ground_the_height_is_as_good_as_without(ground):
     assert found < 1.1 * without
 
 
+@pytest.mark.parametrize("unit", [0.1, 3.28, 100.0, 1000.0], ids=["dm", "feet", "cm", "mm"])
+def test_a_unit_that_is_wrong_turns_no_attitude_over(unit):
+    one = Ranged("figure-eight", 2)
+    std = np.full(len(one.t_ns), np.nan)
+    tilts = []
+    for ranges in (one.ranges, np.minimum(unit * one.ranges, 9e3)):
+        events = merge(one.events, Events.from_columns(one.t_ns, Kind.RANGE, ranges, std))
+        table = run_filter(Recording(family="px4", events=events), "eskf", FilterSettings()).table
+        q_nb = np.stack([table.column(f"q_{name}") for name in "wxyz"], axis=1)
+        known = np.isfinite(q_nb).all(axis=1)
+        at = np.searchsorted(one.truth.att_t_ns, table.stamp_ns[known])
+        at = np.minimum(at, len(one.truth.q_nb) - 1)
+        down, true = (so3.to_matrix(q)[:, 2] for q in (q_nb[known], one.truth.q_nb[at]))
+        cosine = np.clip((down * true).sum(axis=1), -1.0, 1.0)
+        tilts.append(np.degrees(np.arccos(cosine))[1000:].max())
+    assert tilts[1] < tilts[0] + 0.5
+
+
 def test_without_fixes_and_barometer_it_holds_the_height():
     one = Ranged("hover", 1)
 

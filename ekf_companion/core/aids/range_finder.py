@@ -21,7 +21,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.libc.math import isnan, sqrt
+from cython.cimports.libc.math import isnan
 
 from ekf_companion.core.memory.aid import SlowError, Value, aid
 from ekf_companion.nav.measurements import Kind
@@ -54,14 +54,19 @@ def upright(x: State) -> float:
     return 1.0 - 2.0 * (x.q_nb[1] * x.q_nb[1] + x.q_nb[2] * x.q_nb[2])
 
 
-def variance(k: Parameters, row: Vector, c: float) -> float:
-    """Return the variance of a range, m^2: white noise, scale, and slope where it is tilted."""
+def variance(x: State, k: Parameters, row: Vector, c: float) -> float:
+    """Return the variance of a range, m^2: white noise, scale, and where it is tilted the slope.
+
+    The tilt's own error counts as one of the slope: a range corrects no attitude, which a wrong
+    scale would turn over.
+    """
     std = k.aid[AID_RANGE_FINDER].std
     if not isnan(row[1]) and row[1] > std:
         std = row[1]
     scale = SCALE_STD * row[0]
-    slope = SLOPE_STD * row[0] * sqrt(1.0 - c * c)
-    return std * std + scale * scale + slope * slope
+    tilt = row[0] * row[0] * (1.0 - c * c) / (c * c)
+    slope = SLOPE_STD * SLOPE_STD + x.P[E_ATT][E_ATT] + x.P[E_ATT + 1][E_ATT + 1]
+    return std * std + scale * scale + tilt * slope
 
 
 def begin(x: State, k: Parameters, row: Vector) -> bool:
@@ -70,7 +75,7 @@ def begin(x: State, k: Parameters, row: Vector) -> bool:
     if c < UPRIGHT or x.mode != MODE_NAVIGATE:
         return False
     x.range_finder_ground = x.pos_n[2] + row[0] * c
-    copy_error(x, E_RANGE_FINDER, E_POS + 2, variance(k, row, c) * c * c)
+    copy_error(x, E_RANGE_FINDER, E_POS + 2, variance(x, k, row, c) * c * c)
     return True
 
 
@@ -79,12 +84,8 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
     c = upright(x)
     if c < UPRIGHT or x.mode != MODE_NAVIGATE:
         return False
-    clear(o, 1, variance(k, row, c))
-    way = (x.range_finder_ground - x.pos_n[2]) / c
-    o.z[0] = row[0] - way
-    # theta turns the down axis: theta x C e3, of which the third component is the cosine
-    o.H[0][E_ATT] = -way / c * 2.0 * (x.q_nb[2] * x.q_nb[3] - x.q_nb[0] * x.q_nb[1])
-    o.H[0][E_ATT + 1] = way / c * 2.0 * (x.q_nb[1] * x.q_nb[3] + x.q_nb[0] * x.q_nb[2])
+    clear(o, 1, variance(x, k, row, c))
+    o.z[0] = row[0] - (x.range_finder_ground - x.pos_n[2]) / c
     o.H[0][E_POS + 2] = -1.0 / c
     o.H[0][E_RANGE_FINDER] = 1.0 / c
     return True
