@@ -48,11 +48,12 @@ CHARTS_FILES = {
 def declare() -> list[str]:
     """Write what is made: the dispatch and .pxd files; return the modules that are compiled."""
     sys.path.insert(0, str(ROOT))
-    from ekf_companion.core.memory import dispatch
+    from ekf_companion.core.memory import aid, dispatch
     from ekf_companion.core.memory.declare import pxd
     from ekf_companion.core.memory.signatures import kernel_modules, signatures
 
-    write(source_of("core.order.dispatch"), dispatch.source())
+    if aid.DECLARED:
+        write(source_of("core.order.dispatch"), dispatch.source())
     kernel = kernel_modules()
     for name in DECLARED:
         module = importlib.import_module(f"ekf_companion.core.memory.{name}")
