@@ -112,8 +112,9 @@ def test_it_estimates_within_a_second_of_its_first_sample(restarted, number):
     heard = restarted.ear.runs()[number]
     answer = next(when for when, message_id in heard if message_id == IDS["ODOMETRY"])
     assert answer - heard[0][0] < BUSY
-    # It is the answer to the first fix, which comes five times a second
-    assert 0 <= odometry.time_usec - sample.time_usec < 500_000
+    # It is the answer to the first fix, which comes five times a second; where a busy machine lets
+    # the two clocks look apart, some more samples are awaited first
+    assert 0 <= odometry.time_usec - sample.time_usec < 1_000_000
     assert odometry.quality >= 50
     words = restarted.words[number]
     assert "Going on from a checkpoint that is" in words
