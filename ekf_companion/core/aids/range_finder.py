@@ -1,7 +1,7 @@
 """Range finder: the distance to the ground along the body's down axis.
 
-The ground's height is a slow error: it changes as the vehicle moves over it. Its slope adds to the
-noise of a beam that is not upright. Before there is a position nothing shows that a steady turn is
+The ground's height is a slow error: it changes as the vehicle moves over it, and takes in a scale
+that is wrong. Before there is a position nothing shows that a steady turn is
 none of level flight: by the tilt of then no range can be judged.
 """
 
@@ -29,10 +29,6 @@ from ekf_companion.nav.measurements import Kind
 UPRIGHT = cython.declare(cython.double, 0.7071)
 """Least cosine of the tilt at which the beam is taken to meet the ground below: 45 deg, as both
 autopilots have it (PX4's ``range_cos_max_tilt``, ArduPilot's ``DCM33FlowMin``)."""
-SCALE_STD = cython.declare(cython.double, 0.02)
-"""One sigma of the scale: data sheets of small laser and sonar range finders state 1 to 3 %."""
-SLOPE_STD = cython.declare(cython.double, 0.1)
-"""One sigma of the ground's slope: 6 deg."""
 
 
 @aid(
@@ -55,18 +51,16 @@ def upright(x: State) -> float:
 
 
 def variance(x: State, k: Parameters, row: Vector, c: float) -> float:
-    """Return the variance of a range, m^2: white noise, scale, and where it is tilted the slope.
+    """Return the variance of a range, m^2: white noise, and what the tilt's own error makes of it.
 
-    The tilt's own error counts as one of the slope: a range corrects no attitude, which a wrong
-    scale would turn over.
+    That is noise, as of a slope of the ground: a range corrects no attitude, which a wrong scale
+    would turn over.
     """
     std = k.aid[AID_RANGE_FINDER].std
     if not isnan(row[1]) and row[1] > std:
         std = row[1]
-    scale = SCALE_STD * row[0]
-    tilt = row[0] * row[0] * (1.0 - c * c) / (c * c)
-    slope = SLOPE_STD * SLOPE_STD + x.P[E_ATT][E_ATT] + x.P[E_ATT + 1][E_ATT + 1]
-    return std * std + scale * scale + tilt * slope
+    by_tilt = row[0] * row[0] * (1.0 - c * c) / (c * c)
+    return std * std + by_tilt * (x.P[E_ATT][E_ATT] + x.P[E_ATT + 1][E_ATT + 1])
 
 
 def begin(x: State, k: Parameters, row: Vector) -> bool:

@@ -256,8 +256,7 @@ class RangeFinderSettings:
     """Use the range finder, once there is a position. false over water or crops that it looks
     into."""
     std: Annotated[Positive, Setting("m", reload=True)] = 0.1
-    """White noise of the range, if the sensor states no more; 2 % of the range are added, and the
-    slope of the ground where the vehicle is tilted."""
+    """White noise of the range, if the sensor states no more."""
     walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.2
     """Random walk of the ground's height below a vehicle that hovers. Over a deck that heaves by
     2 m in 12 s or a lift that moves by 0.5 m/s the height stays within 5 sigma; with a tenth of it,
