@@ -61,13 +61,7 @@ def copy_error(x: State, e: int, source: int, variance: float) -> None:
 
 
 def forget_offsets(x: State) -> None:
-    """Let the aids' slow errors be found anew, by what each says next."""
-    for aid in range(AIDS):
-        x.has_aid[aid] = 0.0
-
-
-def forget_other_offsets(x: State) -> None:
-    """Do so where the height was wrong; the barometer's is judged with the height."""
+    """Let the aids' slow errors be found anew; the barometer's is judged with the height."""
     for aid in range(AIDS):
         if aid != AID_BARO:
             x.has_aid[aid] = 0.0

@@ -11,10 +11,10 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
-from cython.cimports.ekf_companion.core.filter.slow_error import forget_offsets
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE
 from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
@@ -359,7 +359,7 @@ def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
         gate.begin_reset(x, RESET_HEIGHT)
         reset_height(x, k, w)
         voices.take_height(x)
-        forget_offsets(x)
+        x.has_aid[AID_BARO] = 0.0
         return
     if not gate.is_timed_out(x, AID_HEIGHT, k.timeout_height) or not gate.is_proven(
         x, AID_HEIGHT, 1, fix.stated_var[1], drift, SHORTEST_RUN

@@ -8,7 +8,6 @@ from cython.cimports.ekf_companion.core.aids import gnss
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
 from cython.cimports.ekf_companion.core.filter.slow_error import (
     forget_offsets,
-    forget_other_offsets,
     reset_variance,
     set_variance,
 )
@@ -62,7 +61,7 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
     if x.origin.is_known == 0.0:
         set_origin(x, w.fix.lat, w.fix.lon, w.fix.alt)
     x.mode = MODE_NAVIGATE
-    forget_offsets(x)
+    x.has_aid[AID_BARO] = 0.0
     north = x.gnss_offset[0]
     east = x.gnss_offset[1]
     down = x.gnss_offset[2]
@@ -173,7 +172,7 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
 def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     """Set the height from a fix, which has its slow error."""
     o = address(w.observation)
-    forget_other_offsets(x)
+    forget_offsets(x)
     x.gnss_offset[2] = 0.0
     reset_variance(x, E_GNSS + 2, 1, x.gnss_offset_var[1])
     reset_variance(x, E_POS + 2, 1, ANY)

@@ -13,7 +13,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import (
     add_covariance,
     add_variance,
-    forget_other_offsets,
+    forget_offsets,
 )
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -254,7 +254,7 @@ def doubt_height(x: State) -> None:
     for i in range(3):
         doubt += 0.25 * voices.smooth[i] * voices.smooth[i]
     add_variance(x, E_POS + 2, doubt)
-    forget_other_offsets(x)
+    forget_offsets(x)
     if voices.loser != VOICE_BARO:
         add_variance(x, E_BARO, doubt)
         add_covariance(x, E_POS + 2, E_BARO, doubt)
