@@ -18,7 +18,7 @@ from ekf_companion.arrays.types import (
     MagneticField,
     Units,
 )
-from ekf_companion.core.memory.aid import DECLARED
+from ekf_companion.core.memory.aid import find
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters.observation import Observation
@@ -293,10 +293,7 @@ def _baro(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
 
 def _aid(read: Reader, name: str, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     """Return the measurements of an aid that declares itself."""
-    aid = next((one for one in DECLARED if one.name == name), None)
-    if aid is None:
-        known = ", ".join(one.name for one in DECLARED)
-        raise ConfigError(f"aids: {name}: there is none of this name; known are {known}")
+    aid = find(name)
     t_ns = read.columns(name, given, (*aid.row,), imu_ns)
     columns = []
     for column, value in aid.row.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import numpy.typing as npt
 
 from ekf_companion.arrays.estimates import Origin
 from ekf_companion.arrays.run import STD_H, STD_V, STD_VEL
-from ekf_companion.core.memory.aid import DECLARED
+from ekf_companion.core.memory.aid import find
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
@@ -19,7 +18,6 @@ from ekf_companion.errors import ConfigError, DataError
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import (
-    WIDTH,
     BaroSample,
     GnssFix,
     HeadingSample,
@@ -27,6 +25,7 @@ from ekf_companion.nav.measurements import (
     ImuSample,
     Kind,
     MagSample,
+    make_row,
 )
 from ekf_companion.nav.state import (
     COLUMNS,
@@ -220,19 +219,14 @@ class Stream:
 
     def aid(self, name: str, t: Moment, **values: float) -> None:
         """Take a measurement of an aid that declares itself, ``aid("baro", t, alt=480.2)``."""
-        aid = next((one for one in DECLARED if one.name == name), None)
-        if aid is None:
-            known = ", ".join(one.name for one in DECLARED)
-            raise ConfigError(f"aid: {name}: there is none of this name; known are {known}")
+        aid = find(name)
         if unknown := {*values} - {*aid.row}:
             raise ConfigError(f"{name}: {min(unknown)}: known are {', '.join(aid.row)}")
-        given = []
         for column, value in aid.row.items():
             if column not in values and not value.is_optional:
                 raise DataError(f"{name}: needs {column} ({value.unit})")
-            given.append(float(values.get(column, math.nan)))
-        row = (*given, *[0.0] * (WIDTH - len(given)))
-        self.pipeline.process_row((self._time(name, t), int(aid.kind), row))
+        given = [values.get(column) for column in aid.row]
+        self.pipeline.process_row(make_row(self._time(name, t), aid.kind, *given))
 
     def _check(self, t_ns: int, numbers: npt.NDArray[np.float64], kind: type) -> None:
         """Look at the first samples together."""

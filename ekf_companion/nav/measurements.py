@@ -74,7 +74,8 @@ class GnssFlag(IntFlag):
     """From the second receiver (GPS2_RAW), which is the fallback of the first."""
 
 
-def _row(t_ns: int, kind: Kind, *values: float | None) -> Row:
+def make_row(t_ns: int, kind: Kind, *values: float | None) -> Row:
+    """Return a row of some numbers, of which None is not known."""
     filled = tuple(math.nan if value is None else float(value) for value in values)
     return t_ns, int(kind), filled + (0.0,) * (WIDTH - len(filled))
 
@@ -95,7 +96,7 @@ class Restart:
 
     def row(self) -> Row:
         """Return the row [goes on]."""
-        return _row(self.t_ns, Kind.RESTART, float(self.goes_on))
+        return make_row(self.t_ns, Kind.RESTART, float(self.goes_on))
 
 
 class ImuSample(NamedTuple):
@@ -157,7 +158,7 @@ class GnssFix:
         velocity = (self.vel_north, self.vel_east, self.vel_down)
         stds = (self.std_h, self.std_v, self.std_vel)
         field = (self.declination, float(self.flags), self.inclination, self.field)
-        return _row(self.t_ns, Kind.GNSS, *position, *velocity, *stds, *field)
+        return make_row(self.t_ns, Kind.GNSS, *position, *velocity, *stds, *field)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,7 +174,7 @@ class HeadingSample:
 
     def row(self) -> Row:
         """Return the row [heading, std, source]."""
-        return _row(self.t_ns, Kind.HEADING, self.heading, self.std, float(self.source))
+        return make_row(self.t_ns, Kind.HEADING, self.heading, self.std, float(self.source))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +193,7 @@ class MagSample:
 
     def row(self) -> Row:
         """Return the row [mag x y z, compass]."""
-        return _row(self.t_ns, Kind.MAG, self.mag_x, self.mag_y, self.mag_z, self.compass)
+        return make_row(self.t_ns, Kind.MAG, self.mag_x, self.mag_y, self.mag_z, self.compass)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,7 +206,7 @@ class BaroSample:
 
     def row(self) -> Row:
         """Return the row [alt]."""
-        return _row(self.t_ns, Kind.BARO, self.alt)
+        return make_row(self.t_ns, Kind.BARO, self.alt)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,7 +221,7 @@ class RangeSample:
 
     def row(self) -> Row:
         """Return the row [range, std]."""
-        return _row(self.t_ns, Kind.RANGE, self.range, self.std)
+        return make_row(self.t_ns, Kind.RANGE, self.range, self.std)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,7 +244,7 @@ class VehicleState:
         landed = None if self.is_landed is None else float(self.is_landed)
         is_reported = self.gnss_delay is not None
         delay = self.gnss_delay or 0.0
-        return _row(
+        return make_row(
             self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(is_reported), delay
         )
 

@@ -5,7 +5,7 @@ import pytest
 
 from ekf_companion import Stream, estimate
 from ekf_companion.arrays.stream import CHECKED, TIMES_CHECKED
-from ekf_companion.errors import DataError
+from ekf_companion.errors import ConfigError, DataError
 from ekf_companion.nav.state import Status
 from tests.arrays.test_run import Flown
 
@@ -38,6 +38,25 @@ def test_a_flight_sample_by_sample_is_the_same_as_at_once():
     assert place == pytest.approx(at_once_place, abs=1e-9)
     assert stream.origin == pytest.approx(at_once.origin, abs=1e-9)
     assert last.sigma == pytest.approx(at_once.sigma[-1], abs=1e-9)
+
+
+def test_a_declared_aid_is_taken_by_its_name():
+    flown = Flown()
+    by_method, by_name = Stream(), Stream()
+    for t, alt in zip(flown.baro["time"].tolist(), flown.baro["alt"].tolist(), strict=True):
+        by_method.baro(t, alt)
+        by_name.aid("baro", t, alt=alt)
+    for t, gyro, accel in zip(flown.time, flown.gyro, flown.accel, strict=True):
+        last = [stream.imu(t, gyro, accel) for stream in (by_method, by_name)]
+    assert np.isfinite(last[0].pos_n[2])
+    assert np.array_equal(last[0].pos_n, last[1].pos_n, equal_nan=True)
+    by_name.aid("range_finder", flown.time[-1], range=2.5)
+    with pytest.raises(ConfigError, match="aids: sonar: there is none of this name; known are "):
+        by_name.aid("sonar", 1.0, range=1.0)
+    with pytest.raises(ConfigError, match="range_finder: height: known are range, std"):
+        by_name.aid("range_finder", 1.0, height=1.0)
+    with pytest.raises(DataError, match=r"range_finder: needs range \(m\)"):
+        by_name.aid("range_finder", 1.0, std=1.0)
 
 
 def test_the_first_samples_must_be_plausible():

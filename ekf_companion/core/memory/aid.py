@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ekf_companion.errors import ConfigError
 from ekf_companion.nav.measurements import WIDTH, Kind
 
 FOLDER = Path(__file__).parent.parent / "aids"
@@ -36,7 +37,7 @@ class SlowError:
 
 
 @dataclass(frozen=True, slots=True)
-class Aid:
+class Declaration:
     """An aid, as its file declares it."""
 
     name: str
@@ -62,13 +63,13 @@ def aid(kind: Kind, *, words: str, sensor: str, advice: str) -> Callable[[type],
         if len(row) > WIDTH:
             raise ValueError(f"{declared.__name__}: a row has {WIDTH} numbers, this {len(row)}")
         name = declared.__module__.rpartition(".")[2]
-        declared.found = Aid(name, kind, words, sensor, advice, row, errors)
+        declared.found = Declaration(name, kind, words, sensor, advice, row, errors)
         return declared
 
     return mark
 
 
-def _read(path: Path) -> Aid | None:
+def _read(path: Path) -> Declaration | None:
     """Return what a file declares; None: it is no aid of its own."""
     text = path.read_text(encoding="utf-8")
     if "\n@aid(" not in text:
@@ -77,7 +78,7 @@ def _read(path: Path) -> Aid | None:
     names: dict[str, Any] = {one.__name__: one for one in (aid, Value, SlowError, Kind)}
     names["__name__"] = path.stem
     exec(compile(ast.Module([node], []), path, "exec"), names)
-    found: Aid = names[node.name].found
+    found: Declaration = names[node.name].found
     return found
 
 
@@ -89,3 +90,16 @@ DECLARED = tuple(
 )
 """All that are declared, by kind."""
 BY_KIND = {one.kind: one for one in DECLARED}
+
+
+def find(name: str) -> Declaration:
+    """Return what an aid declares, by its name.
+
+    Raises:
+        ConfigError: There is none of this name.
+    """
+    for one in DECLARED:
+        if one.name == name:
+            return one
+    known = ", ".join(one.name for one in DECLARED)
+    raise ConfigError(f"aids: {name}: there is none of this name; known are {known}")
