@@ -67,10 +67,9 @@ def _status(health: Health) -> Problem | None:
         return None
     if health.status is Status.DEGRADED:
         absent = [
-            label
+            _AIDS[aid][0]
             for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)
             if not health.fused(aid)
-            for label, _ in [_AIDS[aid]]
         ]
         without = " and ".join(absent)
         what = f" without {without}" if absent else ", but one aid is silent or refused"

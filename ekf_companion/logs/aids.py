@@ -63,7 +63,7 @@ def _rfnd(table: Table) -> tuple[Mask, tuple[Array, ...]]:
         if good.any():
             return good, (distance.astype(float), np.full(len(distance), np.nan))
     nothing = np.full(len(next(iter(table.values()), ())), np.nan)
-    return np.isfinite(nothing), (nothing, nothing)
+    return np.zeros(len(nothing), dtype=bool), (nothing, nothing)
 
 
 def _distance_sensor(topic: Table) -> tuple[Mask, tuple[Array, ...]]:
@@ -94,3 +94,4 @@ DATAFLASH = {one.dataflash.name: (kind, one.dataflash) for kind, one in LOGGED.i
 ULOG = {one.ulog.name: (kind, one.ulog) for kind, one in LOGGED.items()}
 """By topic."""
 CSV = {kind: one.csv for kind, one in LOGGED.items()}
+"""The unit of each quantity, by kind."""
