@@ -18,6 +18,7 @@ from rich.table import Column, Table
 
 from ekf_companion.cli.command import Command, Group
 from ekf_companion.errors import CompanionError
+from ekf_companion.link.link import Link
 from sim_autopilot import demo as demonstration
 from sim_autopilot import replay as replaying
 from sim_autopilot.config import load
@@ -27,8 +28,8 @@ from sim_autopilot.faults.fault import parse as parse_fault
 from sim_autopilot.firmware import IDEAL, PERSONALITIES
 from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
+from sim_autopilot.fly import Flown, over, play, run, telling
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.fly import over, play, run
 from sim_autopilot.loop import Bench, StreamRequester
 from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_score, write_truth
@@ -108,7 +109,12 @@ def fly(
         body = partial(
             fly_over, flight, personality=imitated, faults=faults, speed=speed, wait=wait
         )
-        flown = run(over(link, partial(body, log=writer)))
+
+        async def told(link: Link) -> Flown:
+            async with telling(flight.duration / speed, _tell):
+                return await body(link, log=writer)
+
+        flown = run(over(link, told))
         result = flown.witness.score(score_after)
         result["autopilot"] = {
             "personality": imitated.name if personality else f"ideal {imitated.name}",
@@ -223,7 +229,7 @@ def demo(
             duration=duration,
             seed=seed,
             daemon_config=daemon_config,
-            on_progress=lambda words: _errors.print(words, highlight=False),
+            on_progress=_tell,
         )
     _report(score, demonstration.LIMITS)
     for file in files:
@@ -233,6 +239,11 @@ def demo(
         _errors.print(f"[bold red]{complaint}[/]")
     if complaints:
         raise typer.Exit(1)
+
+
+def _tell(words: str) -> None:
+    """Print a line of progress."""
+    _errors.print(words, highlight=False)
 
 
 def _plan(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import socket
 import subprocess
@@ -16,7 +15,7 @@ from ekf_companion.link.link import Link
 from sim_autopilot import figure
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
-from sim_autopilot.fly import Flown, over, run
+from sim_autopilot.fly import Flown, over, run, telling
 from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.recording import write_score, write_truth
 from sim_autopilot.score_table import TITLES
@@ -32,8 +31,6 @@ LIMITS = {
 """Of the RMS error after ten seconds."""
 _START = 15.0
 """Longest time to the daemon's first answer, s."""
-_NEWS = 4.0
-"""Seconds between two lines of progress: less than the five after which a user wonders."""
 _STOP = 5.0
 """Longest time to its end, s."""
 
@@ -62,11 +59,8 @@ def fly(
         port = probe.getsockname()[1]
 
     async def body(link: Link) -> Flown:
-        news = asyncio.create_task(_report_time(duration, on_progress))
-        try:
+        async with telling(duration, on_progress):
             return await fly_over(flight, link, wait=_START)
-        finally:
-            news.cancel()
 
     with _daemon(daemon_config, port, out / "daemon.log"):
         flown = run(over(f"udpout:127.0.0.1:{port}", body))
@@ -80,14 +74,6 @@ def fly(
         figure.draw(out / "demo.png", flight, flown.witness, score)
         files.insert(0, out / "demo.png")
     return score, files
-
-
-async def _report_time(duration: float, on_progress: Callable[[str], None]) -> None:
-    begin = asyncio.get_running_loop().time()
-    on_progress(f"flying for {duration:g} s, in real time, over UDP")
-    while True:
-        await asyncio.sleep(_NEWS)
-        on_progress(f"flying, {asyncio.get_running_loop().time() - begin:.0f} of {duration:g} s")
 
 
 def complaints(score: dict[str, Any], log: Path) -> list[str]:

@@ -27,6 +27,8 @@ T = TypeVar("T")
 
 _AFTER = 0.3
 """After the last sample, messages are still received for so long, s."""
+_NEWS = 4.0
+"""Seconds between two lines of progress: less than the five after which a user wonders."""
 _HEARTBEAT_PERIOD = 0.1
 """Before the first answer, s."""
 
@@ -171,6 +173,22 @@ async def over(url: str, body: Callable[[Link], Awaitable[T]]) -> T:
     async with _background(link.run()):
         await is_open.wait()
         return await body(link)
+
+
+@contextlib.asynccontextmanager
+async def telling(duration: float, on_progress: Callable[[str], None]) -> AsyncIterator[None]:
+    """Say every few seconds while the body flies how far it is, of how many s."""
+
+    async def tell() -> None:
+        begin = asyncio.get_running_loop().time()
+        on_progress(f"flying for {duration:g} s")
+        while True:
+            await asyncio.sleep(_NEWS)
+            now = asyncio.get_running_loop().time() - begin
+            on_progress(f"flying, {now:.0f} of {duration:g} s")
+
+    async with _background(tell()):
+        yield
 
 
 @contextlib.asynccontextmanager

@@ -81,7 +81,9 @@ class Reader:
         values = np.asarray(given)
         if are_dates(values) and values.ndim == 1:
             return self.times(name, since_1970(name, values), is_inertial=is_inertial, unit="ns")
-        if values.ndim != 1 or not len(values) or values.dtype.kind not in "iuf":
+        if values.ndim == 1 and not len(values):
+            raise DataError(f"{name}: is empty; there is nothing to estimate from")
+        if values.ndim != 1 or values.dtype.kind not in "iuf":
             raise DataError(
                 f"{name}: must be numbers or datetime64 in one row, shape (n,), not "
                 f"{_shape(values)}"

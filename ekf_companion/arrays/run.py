@@ -111,6 +111,11 @@ def estimate(
         LogError: Nothing can be estimated from them.
     """
     chosen = settings or FilterSettings()
+    if not isinstance(chosen, FilterSettings):
+        raise ConfigError(
+            f"settings: must be a FilterSettings, not {type(chosen).__name__}, as in "
+            "FilterSettings(gnss=GnssSettings(delay=0.2))"
+        )
     read = Reader(units, check, chosen.gnss.delay)
     others = aids if isinstance(aids, Mapping) else {}
     own = () if isinstance(aids, Mapping) else aids
@@ -223,7 +228,7 @@ def _gnss(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     unit = "deg" if "lat_deg" in given else "rad"
     for needed in (f"lat_{unit}", f"lon_{unit}", "alt"):
         if needed not in given:
-            raise DataError(f"gnss: needs {needed}, beside time, lat_deg, lon_deg and alt")
+            raise DataError(f"gnss: needs {needed}; it has time, lat_{unit}, lon_{unit} and alt")
     count = (len(t_ns),)
     lat, lon, alt = (
         read.array(f"gnss.{name}", given[name], count) * size
@@ -299,11 +304,15 @@ def _aid(read: Reader, name: str, given: Mapping[str, Any], imu_ns: Stamps) -> E
     for column, value in aid.row.items():
         if column not in given and not value.is_optional:
             raise DataError(f"{name}: needs {column} ({value.unit})")
-        columns.append(
-            read.array(f"{name}.{column}", given[column], (len(t_ns),))
-            if column in given
-            else np.full(len(t_ns), np.nan)
-        )
+        if column not in given:
+            columns.append(np.full(len(t_ns), np.nan))
+            continue
+        values = read.array(f"{name}.{column}", given[column], (len(t_ns),))
+        is_possible = (value.low < values) & (values < value.high)
+        is_possible |= np.isnan(values) & value.is_optional
+        limits = f"{value.low:g} to {value.high:g} {value.unit}"
+        read.drop(f"{name}.{column}", ~is_possible, f"lie outside of what there is, {limits}")
+        columns.append(values)
     return Events.from_columns(t_ns, aid.kind, *columns)
 
 

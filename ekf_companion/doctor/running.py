@@ -22,6 +22,8 @@ Data = Mapping[str, Any]
 """What ``/status`` answers, or a part of it."""
 SILENT_S = 2.0
 """Seconds without a byte, as in ``status/judge``."""
+_FIRST = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "GPS_RAW_INT", "ATTITUDE", "GLOBAL_POSITION_INT")
+"""Messages that are named before others."""
 OLD_S = 1.0
 """Seconds without an inertial sample, as there."""
 
@@ -112,6 +114,7 @@ def _source(status: Data) -> _Seen:
 def _messages(status: Data) -> _Seen:
     age_s = status["sample_age_s"]
     coming = [name for name, message in status["messages"].items() if message["rate"]]
+    coming.sort(key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
     saw = ", ".join(coming[:6]) or "none"
     if age_s is None or age_s > OLD_S:
         remedy = "`ekf-companion status` shows what was asked for, and the answers."
@@ -122,9 +125,14 @@ def _messages(status: Data) -> _Seen:
 def _rates(status: Data) -> _Seen:
     messages = status["messages"]
     asked = {name: message for name, message in messages.items() if message["asked"]}
-    saw = ", ".join(
-        f"{name} {one['rate']:.0f} of {one['asked']:.0f} Hz" for name, one in asked.items()
-    )
+    parts = [
+        f"{name} {one['rate']:.0f} of {one['asked']:.0f} Hz"
+        for name, one in asked.items()
+        if one["rate"]
+    ]
+    if absent := [name for name, one in asked.items() if not one["rate"]]:
+        parts.append(f"none of {', '.join(absent)}")
+    saw = ", ".join(parts)
     problems = [
         warning(f"{name} comes too rarely.", f"{one['cause'][0].upper()}{one['cause'][1:]}.")
         for name, one in messages.items()

@@ -45,6 +45,6 @@ class OwnAid(ABC):
         for axis in range(N):
             step = np.zeros(N)
             step[axis] = STEP
-            back, ahead = (self.innovation(state.plus(s * step)) for s in (-1.0, 1.0))
+            back, ahead = (np.asarray(self.innovation(state.plus(s * step))) for s in (-1.0, 1.0))
             columns.append((back - ahead) / (2.0 * STEP))
         return np.stack(columns, axis=-1)

@@ -191,10 +191,11 @@ def late_fixes(
 
 
 def counts_of(health: Health) -> dict[str, tuple[int, int]]:
-    """Return the numbers of fused and of refused measurements, by aid."""
+    """Return the numbers of fused and of refused measurements, by aid; of rest there are none."""
     return {
         aid.name.lower(): (health.fused(aid), health.refused(aid))
-        for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)
+        for aid in Aid
+        if aid is not Aid.REST and (aid <= Aid.HEADING or any(health.verdicts[aid].values()))
     }
 
 

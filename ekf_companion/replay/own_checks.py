@@ -36,10 +36,14 @@ def checked_aids(
         DataError: One is no aid, a time is none, or none is within the recording.
     """
     aids: list[tuple[int, Observation]] = []
+    if not isinstance(given, Iterable):
+        raise DataError(f"aids: is {_said(given)}; give a list of pairs (time, aid)")
     for row, pair in enumerate(given):
         if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
             raise DataError(f"aids: row {row} is {_said(pair)}; give pairs (time, aid)")
         t, aid = pair
+        if isinstance(aid, type):
+            raise DataError(f"aids: row {row}: {aid.__name__} is a class; give one of its objects")
         if lacking := [one for one in ("aid", *_METHODS) if not hasattr(aid, one)]:
             raise DataError(
                 f"aids: row {row}: {_said(aid)} has no {lacking[0]}; give pairs (time, aid), and "
@@ -86,10 +90,13 @@ class _Checked:
         leading = np.shape(state.pos_n)[:-1]
         if z.shape[:-1] != leading or z.ndim == 0 or not 1 <= z.shape[-1] <= MOST_ROWS:
             index = ": index the state from the end, as in state.pos_n[..., 2:3]"
-            self._refuse("innovation", f"the shape {z.shape}, not {(*leading, 'm')}{index}")
+            wanted = ", ".join([*map(str, leading), "m"])
+            rows = f"with m from 1 to {MOST_ROWS}{index}"
+            self._refuse("innovation", f"the shape {z.shape}, not ({wanted}) {rows}")
         return z
 
     def jacobian(self, state: Nominal) -> Array:
+        self.innovation(state)  # of which the usual one is made
         H = self._numbers("jacobian", self._aid.jacobian(state))
         if H.ndim != 2 or H.shape[1] != N or not 1 <= len(H) <= MOST_ROWS:
             self._refuse("jacobian", f"the shape {H.shape}, not (m, {N})")

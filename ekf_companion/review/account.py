@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
@@ -34,6 +35,7 @@ _LOOK = {
         "headings",
         "look at heading (rad from true north, clockwise) or mag (a field that is the Earth's)",
     ),
+    **{one.name: ("measurements", one.advice.rstrip(".")) for one in DECLARED},
 }
 _AFTER = {
     Status.DEAD_RECKONING: "no fix was used for more than a second, and the error grows",

@@ -229,6 +229,10 @@ def note_shortcomings(report: Report, path: Path) -> None:
     _check_estimated(report, path)
 
 
+LEAST = 1.0
+"""s of samples, as align.time: in less neither down nor north can be found."""
+
+
 def _check_estimated(report: Report, path: Path) -> None:
     """Refuse a log from which nothing could be estimated.
 
@@ -236,7 +240,13 @@ def _check_estimated(report: Report, path: Path) -> None:
         LogError: It is refused.
     """
     if report.estimates == 0 or set(report.seconds) <= _WITHOUT_NORTH:
+        span = sum(report.seconds.values())
         what = "; ".join(report.notes) or "the log is too short to find down and north in it"
+        if report.estimates and span < LEAST:
+            what = (
+                f"its inertial samples last {span:.2f} s; a second of rest, or some seconds of "
+                "motion with fixes, is the least to find down and north from"
+            )
         raise LogError(f"{path}: nothing could be estimated: {what}")
 
 

@@ -259,6 +259,13 @@ def in_ms(flown):
         (lambda f: {"gnss": in_ms(f)}, r"gnss: .* by a factor of 1e\+03: the"),
         (lambda f: {"units": {"gyro": "rpm"}}, "units: gyro: 'rpm': known are"),
         (lambda f: {"filter": "kalman"}, "unknown filter; known are eskf"),
+        (lambda f: {"settings": {"std": 1.0}}, "settings: must be a FilterSettings, not dict"),
+        (lambda f: {"baro": {"time": [], "alt": []}}, "baro.time: is empty"),
+        (lambda f: own(f, Rangefinder), "aids: row 0: Rangefinder is a class; give one of its ob"),
+        (lambda f: own(f) | {"aids": Rangefinder(1.0, 1.0)}, "aids: is Rangefinder .*; give a"),
+        (lambda f: own(f, Answer(np.nan)), r"innovation\(\) returned nan"),
+        (lambda f: own(f, Answer(1.0)), r"innovation\(\) returned the shape \(\), not \(m\) with"),
+        (lambda f: own(f, Answer([1.0] * 5)), r"innovation\(\) returned the shape \(5,\), not \(m"),
     ],
 )
 def test_mistakes_are_said(flown, change, sentence):
@@ -503,6 +510,25 @@ def test_a_trajectory_is_written_as_convert_writes_it(flown, tmp_path):
     assert read.alt == pytest.approx(found.alt[known])
 
 
+class Answer(OwnAid):
+    """Answers what it was told to."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def innovation(self, state):
+        return self.answer
+
+    def covariance(self):
+        return np.eye(1)
+
+
+def own(flown, *aids):
+    """Return an aid of one's own in the middle of a flight."""
+    middle = float(flown.time[len(flown.time) // 2])
+    return {"filter": "euler", "aids": [(middle, aid) for aid in aids]}
+
+
 class Rangefinder(OwnAid):
     """Height above a level ground."""
 
@@ -584,3 +610,16 @@ def test_the_bias_of_a_gyro_that_stands_for_an_hour_is_not_taken_for_degrees():
     to_events(t, gyro, np.tile([0.0, 0.0, -9.81], (len(t), 1)))
     with pytest.raises(DataError, match="it looks like deg/s"):
         to_events(t, np.rad2deg(gyro), np.tile([0.0, 0.0, -9.81], (len(t), 1)))
+
+
+def test_of_a_declared_aid_is_said_what_was_dropped_and_what_was_refused(flown):
+    t = flown.baro["time"]
+    ranges = {"time": t, "range": np.where(np.arange(len(t)) < 5, -1.0, 7.0)}
+    found = flown.estimate(aids={"range_finder": ranges})
+    assert found.dropped == {"range_finder.range": 5}
+    why = "5 of 750 rows lie outside of what there is, 0 to 10000 m, the first is row 0"
+    assert f"range_finder.range: {why}; they were not used" in found.notes
+    wild = np.random.default_rng(1).uniform(0.3, 400.0, len(t))
+    found = flown.estimate(aids={"range_finder": {"time": t, "range": wild}})
+    (note,) = [one for one in found.notes if one.startswith("range_finder: ")]
+    assert re.match(r"range_finder: \d+ of 7\d\d measurements refused \(Look at what it poi", note)

@@ -41,6 +41,13 @@ def test_a_daemon_in_flight_fails_at_no_stage(snapshot):
     assert found["estimate"] is Outcome.OK
 
 
+def test_what_comes_is_named_by_its_weight_and_what_does_not_apart(snapshot):
+    said = first_words(told(snapshot))
+    assert "HIGHRES_IMU, GPS_RAW_INT, ATTITUDE" in said
+    assert " 0 of " not in said.partition("rates ")[2]
+    assert "none of " in said
+
+
 @pytest.mark.parametrize(
     ("changed", "stage", "words"),
     [

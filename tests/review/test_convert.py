@@ -300,3 +300,18 @@ def test_a_reboot_is_named_as_one(flown, tmp_path):
     )
     once = command("convert", flown / "flight.tlog", "-o", tmp_path / "out.csv")
     assert "rebooted" not in once.output
+
+
+def test_a_log_of_a_moment_is_said_to_be_one(tmp_path):
+    """The example of README, copied: its four rows are no flight."""
+    header, *rows = [
+        "time_us,gyro_x_rps,gyro_y_rps,gyro_z_rps,accel_x_mps2,accel_y_mps2,accel_z_mps2",
+        *(f"{1_000_000 + 10_000 * n},0.01,0,0,0.1,0,-9.8" for n in range(4)),
+    ]
+    log = tmp_path / "moment.csv"
+    log.write_text("\n".join([header, *rows]) + "\n")
+    done = command("convert", log, "-o", tmp_path / "out.csv")
+    assert done.exit_code == 3
+    assert "nothing could be estimated: its inertial samples last 0.0" in done.output
+    assert "a second of rest" in done.output
+    assert "roll and pitch are estimated" not in done.output
