@@ -120,17 +120,26 @@ class BuildWithPage(build_py):
 
 
 class BuildWhatChanged(build_ext):
-    """Keeps what a checkout compiles, for `pip install -e .` and `build_ext --inplace` alike.
+    """Keeps what a checkout compiles, for `pip install -e .`, `build_ext --inplace` and wheels alike.
 
-    An editable installation would compile everything in a folder that it deletes.
+    An editable installation would compile everything in a folder that it deletes, and a wheel once
+    more in one of its own.
     """
 
     def finalize_options(self) -> None:
         """Put objects and modules into build/kernel, where the next build compares the times."""
         super().finalize_options()
-        if self.inplace:
-            tag = sysconfig.get_config_var("SOABI") or sys.implementation.cache_tag
-            self.build_lib = self.build_temp = str(Path("build", "kernel", tag))
+        tag = sysconfig.get_config_var("SOABI") or sys.implementation.cache_tag
+        self.wheel_lib = self.build_lib
+        self.build_lib = self.build_temp = str(Path("build", "kernel", tag))
+
+    def run(self) -> None:
+        """Compile what has changed; copy the modules to where a wheel is packed from."""
+        super().run()
+        for built in () if self.inplace else self.get_outputs():
+            packed = Path(self.wheel_lib, Path(built).relative_to(self.build_lib))
+            self.mkpath(str(packed.parent))
+            self.copy_file(built, str(packed))
 
 
 def date_headers() -> None:

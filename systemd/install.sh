@@ -98,7 +98,7 @@ install_program() {
         # In a copy, so that root leaves no files in the checkout
         mkdir "$built/src"
         cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot systemd "$built/src"
-        rm -f "$built"/src/ekf_companion/*/*.c "$built"/src/ekf_companion/*/*.so
+        find "$built/src/ekf_companion" \( -name '*.c' -o -name '*.so' \) -delete
         build_wheel
     else
         [ -f "$WHEEL" ] || fail "WHEEL=$WHEEL: there is no such file; make wheel makes one in dist/"

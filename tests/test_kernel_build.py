@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import zipfile
 
 import pytest
 
@@ -49,9 +50,8 @@ def compiled(folder, *command):
 
 
 def modules(folder):
-    """Return the compiled modules in the package, and when each was copied there or built."""
+    """Return the modules that were compiled, and when each was."""
     built = (folder / "build/kernel").rglob("*.so")
-    assert len(list((folder / "ekf_companion").rglob("*.so"))) == len(COMPILED)
     return {path.name.partition(".")[0]: path.stat().st_mtime_ns for path in built}
 
 
@@ -59,10 +59,23 @@ def test_an_editable_installation_and_make_compile_once(checkout):
     assert compiled(checkout, "editable_wheel", "--dist-dir", "dist") == sorted(COMPILED)
     first = modules(checkout)
     assert {*first} == {"csv_lines", "repetition"}
+    assert len(list((checkout / "ekf_companion").rglob("*.so"))) == len(COMPILED)
 
     assert compiled(checkout, "build_ext", "--inplace") == []
     assert compiled(checkout, "editable_wheel", "--dist-dir", "dist") == []
     assert modules(checkout) == first
+
+
+def test_a_wheel_and_make_compile_once(checkout):
+    assert compiled(checkout, "bdist_wheel", "--dist-dir", "dist") == sorted(COMPILED)
+    first = modules(checkout)
+    assert {*first} == {"csv_lines", "repetition"}
+
+    compiled(checkout, "build_ext", "--inplace")
+    assert modules(checkout) == first
+    with zipfile.ZipFile(next((checkout / "dist").glob("*.whl"))) as wheel:
+        packed = {name.partition(".")[0] for name in wheel.namelist() if name.endswith(".so")}
+    assert packed == {f"ekf_companion/{name}" for name in COMPILED}
 
 
 def test_an_edited_module_is_compiled_alone(checkout):
