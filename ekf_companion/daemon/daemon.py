@@ -297,6 +297,7 @@ class Daemon:
         self._process_waiting()
         self._due_ns = now_ns + LEAST_NS
         companion = self._companion
+        companion.session.delivery.lag.loop_ns = self._observer.loop_lag_ns
         if self.link.opened:
             companion.tick(now_ns)
         self._send(now_ns)

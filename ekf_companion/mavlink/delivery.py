@@ -20,7 +20,7 @@ from ekf_companion.mavlink.decode.parameter import value_of
 from ekf_companion.mavlink.event import Advised, Emit, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.guard import Guard
-from ekf_companion.mavlink.lag import DelaySetting, Lag
+from ekf_companion.mavlink.lag import CROWDED, DelaySetting, Lag
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.pacing import Pacing
 from ekf_companion.mavlink.service import Service
@@ -161,12 +161,19 @@ class Delivery(Service):
 
     def _hold_late(self, seconds: float, now_ns: int) -> None:
         self._begin_hold(now_ns)
+        cause, remedy, text = (
+            ("this board lets the daemon wait", CROWDED, "companion")
+            if self.lag.is_loop(seconds)
+            else (
+                "the link to the autopilot is too slow",
+                "raise the baud rate or take a faster link",
+                "link",
+            )
+        )
         self.hold = Hold(
-            reason=f"it would arrive {seconds:.1f} s after its state was true: the link to the "
-            "autopilot is too slow",
-            remedy="raise the baud rate or take a faster link; it is sent again when answers come "
-            f"within {_BACK_NS * 1e-9:.1f} s",
-            text=f"link {seconds:.1f} s late",
+            reason=f"it would arrive {seconds:.1f} s after its state was true: {cause}",
+            remedy=f"{remedy}; it is sent again when answers come within {_BACK_NS * 1e-9:.1f} s",
+            text=f"{text} {seconds:.1f} s late",
         )
 
     def _begin_hold(self, now_ns: int) -> None:

@@ -17,6 +17,8 @@ _EVEN = 0.05
 """s. Of answers that come more evenly than that a constant delay can be set."""
 _NEAR_MS = 30.0
 """A setting so near to what is measured is right."""
+CROWDED = "see what else takes its processor (top)"
+"""What to do about a board that does not let our loop run."""
 
 
 class Lag:
@@ -31,8 +33,10 @@ class Lag:
         """When the last answer came, our clock; None: none has."""
         self.last_ns = 0
         """What it took there and back."""
-        self.queue_ns = 0
+        self.slowed_ns = 0
         """By how much it was slowed on the way there, at most."""
+        self.loop_ns = 0
+        """How long our own loop has stalled of late, at most; whoever runs it sets that."""
         self._recent: deque[tuple[int, int]] = deque()
         self._least: list[tuple[int, int] | None] = [None, None]
         """Least round trip, and least time of the autopilot's clock after ours, of this span and of
@@ -55,10 +59,19 @@ class Lag:
         fastest, earliest = (min(column) for column in zip(*known, strict=True))
         self.answered_ns, self.last_ns, self.fastest_ns = now_ns, rtt, fastest
         # A clock that runs slower, or has jumped, shows in the one and not in the other
-        self.queue_ns = min(rtt - fastest, there - earliest)
+        self.slowed_ns = min(rtt - fastest, there - earliest)
         self._recent.append((now_ns, rtt))
         while now_ns - self._recent[0][0] > _WINDOW_NS:
             self._recent.popleft()
+
+    @property
+    def queue_ns(self) -> int:
+        """How long the last request waited in the line, at most: what our loop explains is none."""
+        return max(self.slowed_ns - self.loop_ns, 0)
+
+    def is_loop(self, seconds: float) -> bool:
+        """Return whether a delay, s, is rather that of our own loop than of the line."""
+        return 2.0 * self.loop_ns * 1e-9 > seconds
 
     @property
     def is_few(self) -> bool:
@@ -120,9 +133,12 @@ class DelaySetting:
         if not self.name or math.isnan(typical) or typical * 1e3 <= _NEAR_MS:
             return ""
         if spread > _EVEN:
+            remedy = f"no value of {self.name} covers that; take a faster link"
+            if lag.is_loop(spread):
+                remedy = f"this board lets the daemon wait for {lag.loop_ns * 1e-6:.0f} ms; {CROWDED}"
             return (
                 f"answers take {typical * 1e3:.0f} ms there and back, and {spread * 1e3:.0f} ms "
-                f"more or less: no value of {self.name} covers that; take a faster link"
+                f"more or less: {remedy}"
             )
         target = self._target(lag, now_ns)
         if target > self.largest:

@@ -3,7 +3,8 @@
 What each says stays the same, so a replay is not concerned. Whole numbers keep the pauses alike.
 Where our messages queue, by the answers to TIMESYNC, half as many are sent; after a while without a
 queue the next higher rate is tried, ever more seldom where that fails. Onto a line that answers
-nothing for a moment nothing is sent at all, so that the queue stays short.
+nothing for a moment nothing is sent at all, so that the queue stays short. Of requests that our own
+loop held back no line is to blame: that is reported instead.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections import deque
 
 from ekf_companion.mavlink.event import Emit, Noted
 from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE
-from ekf_companion.mavlink.lag import Lag
+from ekf_companion.mavlink.lag import CROWDED, Lag
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.mavlink.stamp import SECOND_NS
 
@@ -66,7 +67,10 @@ class Pacing:
         self._lag, self._emit = lag, emit
         self._count = self._sent_ns = 0
         self._published: deque[int] = deque(maxlen=16)
-        self._row: deque[tuple[int, int]] = deque(maxlen=_IN_A_ROW)
+        self._row: deque[tuple[int, int, int]] = deque(maxlen=_IN_A_ROW)
+        """When the last answers came, by how much they were slowed, and what of it was a queue."""
+        self._crowded_ns: int | None = None
+        """When our own loop was reported last."""
         self._stepped_ns: int | None = None
         self._stepped_queue = 0
         """How long the queue was when the rate was lowered last."""
@@ -115,16 +119,26 @@ class Pacing:
     def on_answer(self, now_ns: int) -> None:
         """Send fewer where they queue, and more again after a while without a queue."""
         queue = self._lag.queue_ns
-        self._row.append((now_ns, queue))
+        self._row.append((now_ns, self._lag.slowed_ns, queue))
         is_row = len(self._row) == _IN_A_ROW and now_ns - self._row[0][0] >= _ROW_NS
-        least = min(one for _, one in self._row)
+        slowed, least = (min(column) for column in list(zip(*self._row, strict=True))[1:])
         least_every = 1 if self.capacity is None else self._least_every(self.capacity)
         since = _LONGEST_TRY_NS if self._stepped_ns is None else now_ns - self._stepped_ns
         if is_row and least > _QUEUE_NS and since >= _STEP_NS:
             self._lower(now_ns, least)
+        elif is_row and slowed > _QUEUE_NS and self._lag.is_loop(slowed * 1e-9):
+            self._report_loop(now_ns)
         elif queue < _CALM_NS and since >= self._try_ns and self.every > least_every:
             self.every = max((k for k in _LADDER if k < self.every), default=1)
             self._stepped_ns, self._is_trial, self._stepped_queue = now_ns, True, 0
+
+    def _report_loop(self, now_ns: int) -> None:
+        """Report that our own loop, and not the line, holds back what is sent."""
+        since = _LONGEST_TRY_NS if self._crowded_ns is None else now_ns - self._crowded_ns
+        if since >= _LONGEST_TRY_NS:
+            waits = f"This board lets the daemon wait for {self._lag.loop_ns * 1e-6:.0f} ms"
+            self._emit(Noted(f"{waits}, so that ODOMETRY leaves late: {CROWDED}"))
+        self._crowded_ns = now_ns
 
     def _lower(self, now_ns: int, queue: int) -> None:
         """Send half as many, unless the queue grows shorter already."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from ekf_companion.mavlink.lag import CROWDED
 from ekf_companion.nav.state import Status
 from ekf_companion.status.lacking import lacking
 from ekf_companion.status.snapshot import LinkState, Snapshot
@@ -119,7 +120,7 @@ def _thrown_away(snapshot: Snapshot) -> str:
     if output.held_rate >= MANY_UNSENT:
         text += (
             f", {output.held_rate:.0f} Hz thrown away as this board let the daemon wait for "
-            f"{snapshot.process.loop_lag_ms * 1e-3:.1f} s: see what else takes its processor (top)"
+            f"{snapshot.process.loop_lag_ms * 1e-3:.1f} s: {CROWDED}"
         )
     if output.late_rate >= MANY_UNSENT:
         text += (

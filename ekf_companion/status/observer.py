@@ -226,6 +226,12 @@ class Observer:
         """Note by how much a timer of the loop was late."""
         self._longest_ns = max(self._longest_ns, round(seconds * 1e9))
 
+    @property
+    def loop_lag_ns(self) -> int:
+        """Longest delay of the loop in the last second, or a little more."""
+        recent = [self._history[-k].losses.lag_ns for k in (1, 2) if k <= len(self._history)]
+        return max([self._longest_ns, *recent])
+
     def _counters(self, now_ns: int) -> _Counters:
         """Return the counters as they are now."""
         session = self._companion.session

@@ -4,6 +4,7 @@ The fake autopilot flies faster than time: the estimate goes by its stamps. What
 is then converted, and both must have said the same, to the bit.
 """
 
+import asyncio
 import contextlib
 import csv
 import itertools
@@ -28,7 +29,9 @@ import pytest
 
 from benchmarks.speed.daemon import SO_TIMESTAMPNS
 from ekf_companion.cli.status import fetch
-from ekf_companion.config.config import load_config
+from ekf_companion.config.config import Config, load_config
+from ekf_companion.daemon.clock import unix_clock
+from ekf_companion.daemon.daemon import Daemon as InThisProcess
 from ekf_companion.engine.pipeline import QUALITY
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
@@ -698,6 +701,22 @@ def test_the_serial_recording_gives_the_same_messages(wired):
 
 
 # When something is wrong
+
+
+def test_what_its_own_loop_waits_for_is_no_queue_in_the_line():
+    async def stall():
+        config = Config()
+        config = replace(
+            config,
+            link=replace(config.link, url=f"udpin:127.0.0.1:{free_port()}"),
+            http=replace(config.http, port=0),
+        )
+        with InThisProcess(config) as daemon:
+            daemon._observer.on_late_timer(0.3)
+            daemon._run_periodic(unix_clock())
+            return daemon._companion.session.delivery.lag.loop_ns
+
+    assert asyncio.run(stall()) == pytest.approx(0.3e9, rel=1e-6)
 
 
 def test_it_stops_while_it_still_tries_to_connect(tmp_path):

@@ -68,6 +68,8 @@ class Flown:
         self.parameters = FUSED | (parameters or {})
         self.clock = clock
         """Seconds of the autopilot's clock in one of ours."""
+        self.loop_ns = 0
+        """By how much our own loop stalls between a stamp and what is sent with it."""
         self.is_answering = True
         self.base_mode = 0
         self.arrivals = []
@@ -93,10 +95,11 @@ class Flown:
             if now_ns // odometry_ns != (now_ns - step_ns) // odometry_ns:
                 payload = pack("ODOMETRY", time_usec=now_ns // 1000, quality=100)
                 self.session.publish(Message("ODOMETRY", payload, is_replaceable=True), now_ns)
+            self.session.delivery.lag.loop_ns = self.loop_ns
             if now_ns % (50 * MS) == 0:
                 self.session.tick(now_ns)
             for data in self.session.data_to_send():
-                self.there.send(data, now_ns)
+                self.there.send(data, now_ns + self.loop_ns)
             for event in self.session.events():
                 self.events.append(event)
                 if isinstance(event, HoldChanged):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ekf_companion.mavlink.event import Advised
+from ekf_companion.mavlink.event import Advised, Noted
 from tests.mavlink.conversation import MS, PX4, SECOND
 from tests.mavlink.line import Flown, Way
 
@@ -64,6 +64,39 @@ def test_a_queue_on_the_way_to_us_slows_nothing_down():
     flown.back.delay_ns = 180 * MS
     flown.fly(10)
     assert flown.rate(11, 20) == pytest.approx(30, abs=0.5)
+
+
+def notes(flown):
+    return [event.text for event in flown.events if isinstance(event, Noted)]
+
+
+def test_our_own_loop_that_stalls_is_named_and_no_full_line():
+    flown = Flown(Way()).take_off().fly(10)
+    flown.loop_ns = 120 * MS
+    flown.fly(20)
+    assert notes(flown) == [
+        "This board lets the daemon wait for 120 ms, so that ODOMETRY leaves late: see what else "
+        "takes its processor (top)"
+    ]
+    assert flown.session.delivery.pacing.every == 1
+    assert flown.rate(11, 30) == pytest.approx(30, abs=0.5)
+
+
+def test_a_full_line_is_named_though_our_own_loop_stalls_a_little():
+    flown = Flown(Way(rate=5760)).take_off()
+    flown.loop_ns = 20 * MS
+    flown.fly(20)
+    (note,) = notes(flown)
+    assert note.startswith("The line to the autopilot is full")
+
+
+def test_odometry_that_our_own_loop_holds_back_blames_no_link():
+    flown = Flown(Way()).take_off().fly(10)
+    flown.loop_ns = 600 * MS
+    flown.fly(5)
+    assert texts(flown)[0].startswith("companion ")
+    assert "this board lets the daemon wait" in flown.session.delivery.hold.reason
+    assert "top" in flown.session.delivery.hold.remedy
 
 
 @pytest.mark.parametrize("clock", [0.98, 1.02])
