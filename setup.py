@@ -120,7 +120,7 @@ class BuildWithPage(build_py):
 
 
 class BuildWhatChanged(build_ext):
-    """Keeps what a checkout compiles, for `pip install -e .`, `build_ext --inplace` and wheels alike.
+    """Keeps what a checkout compiles, for an editable installation, `--inplace` and a wheel alike.
 
     An editable installation would compile everything in a folder that it deletes, and a wheel once
     more in one of its own.

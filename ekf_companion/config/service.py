@@ -237,6 +237,12 @@ class HttpConfig:
     tiles_credit: str = ""
     """Attribution that the server requires on the map, as in (c) OpenStreetMap contributors."""
 
+    @property
+    def url(self) -> str:
+        """Return the page's address on this computer; empty if there is none."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}" if self.port else ""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveConfig:

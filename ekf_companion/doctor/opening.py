@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 
+from ekf_companion.config.service import HttpConfig
 from ekf_companion.doctor.evidence import Evidence, Opening
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.doctor.transport import BAUD
@@ -23,17 +24,18 @@ def link(evidence: Evidence) -> StageResult:
             "power/control = on); over TCP look at who closes it.",
         )
         return judged(Stage.LINK, f"{opening.url} is open", [lost if again else None])
-    return judged(Stage.LINK, f"{opening.url}: {opening.failure}", [_reason(opening)])
+    reason = _reason(opening, evidence.config.http)
+    return judged(Stage.LINK, f"{opening.url}: {opening.failure}", [reason])
 
 
-def _reason(opening: Opening) -> Problem:
+def _reason(opening: Opening, http: HttpConfig) -> Problem:
     match opening.number:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
             return _missing(opening)
         case errno.EACCES | errno.EPERM:
             return _forbidden(opening)
         case errno.EBUSY | errno.EAGAIN | errno.EADDRINUSE:
-            return _busy(opening)
+            return _busy(opening, http)
         case errno.ECONNREFUSED | errno.ETIMEDOUT | errno.EHOSTUNREACH | errno.ENETUNREACH:
             return failed(
                 "Nobody listens there, or the network does not reach it.",
@@ -76,8 +78,9 @@ def _forbidden(opening: Opening) -> Problem:
     )
 
 
-def _busy(opening: Opening) -> Problem:
+def _busy(opening: Opening, http: HttpConfig) -> Problem:
     what = opening.device or "that port"
+    asked = "" if http.url == HttpConfig().url else f" --url {http.url}"
     holder = opening.holder
     if holder is None:
         return failed(
@@ -87,15 +90,20 @@ def _busy(opening: Opening) -> Problem:
                 if opening.device
                 else "Find it with `sudo ss -lptun` and stop it, or take another port in link.url"
             )
-            + "; mavlink-router can give each program an endpoint. Is it our own daemon? Ask it "
-            "with `ekf-companion status`, or `sudo systemctl stop ekf-companion` first.",
+            + "; mavlink-router can give each program an endpoint. Is it our own daemon? "
+            + (f"Ask it with `ekf-companion status{asked}`, or " if http.url else "Then ")
+            + "`sudo systemctl stop ekf-companion` first.",
         )
     if holder.is_daemon:
+        ask = (
+            f"Ask it: `ekf-companion status{asked}`, or `ekf-companion doctor --url {http.url}` "
+            "(http.host and http.port as configured here). "
+            if http.url
+            else "It has no page to ask, as http.port is 0. "
+        )
         return failed(
             f"Our own daemon has {what}: {holder}.",
-            "Ask it: `ekf-companion status`, or `ekf-companion doctor --url "
-            "http://127.0.0.1:9331`, its http.host and http.port. To examine the link from here, "
-            f"`{holder.stop}` first.",
+            f"{ask}To examine the link from here, `{holder.stop}` first.",
         )
     return failed(
         f"{holder} has {what}.",

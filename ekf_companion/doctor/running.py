@@ -24,6 +24,7 @@ SILENT_S = 2.0
 """Seconds without a byte, as in ``status/judge``."""
 _FIRST = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "GPS_RAW_INT", "ATTITUDE", "GLOBAL_POSITION_INT")
 """Messages that are named before others."""
+_STATUS = "`ekf-companion status` (with the same --url)"
 OLD_S = 1.0
 """Seconds without an inertial sample, as there."""
 
@@ -117,7 +118,7 @@ def _messages(status: Data) -> _Seen:
     coming.sort(key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
     saw = ", ".join(coming[:6]) or "none"
     if age_s is None or age_s > OLD_S:
-        remedy = "`ekf-companion status` shows what was asked for, and the answers."
+        remedy = f"{_STATUS} shows what was asked for, and the answers."
         return saw, [failed(_missing(status), remedy)]
     return saw, []
 
@@ -152,10 +153,10 @@ def _time(status: Data) -> _Seen:
 def _estimate(status: Data) -> _Seen:
     estimator, health = status["estimator"], status["health"]
     if not estimator:
-        return "none", [failed(_words(status), "See the aids in `ekf-companion status`.")]
+        return "none", [failed(_words(status), f"See the aids in {_STATUS}.")]
     name = str(estimator["status"])
     words = "; ".join(estimator["reasons"].values()) or health["words"]
-    remedy = "See what became of each aid in `ekf-companion status`."
+    remedy = f"See what became of each aid in {_STATUS}."
     if not health["is_healthy"] or name in ("init", "aligning", "attitude", "invalid"):
         return name, [failed(_words(status), remedy)]
     if name != "ok":

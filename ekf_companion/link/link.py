@@ -151,8 +151,8 @@ class Link:
         if not holder.is_daemon:
             return f", by {holder}: stop it, or take another port"
         return (
-            f", by another daemon of this project, {holder}: ask that with `ekf-companion status`, "
-            f"or stop it with `{holder.stop}`"
+            f", by another daemon of this project, {holder}: ask that with `ekf-companion status` "
+            f"(--url, where its http.port is another), or stop it with `{holder.stop}`"
         )
 
     async def receive(self) -> Received:

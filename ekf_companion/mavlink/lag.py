@@ -135,7 +135,9 @@ class DelaySetting:
         if spread > _EVEN:
             remedy = f"no value of {self.name} covers that; take a faster link"
             if lag.is_loop(spread):
-                remedy = f"this board lets the daemon wait for {lag.loop_ns * 1e-6:.0f} ms; {CROWDED}"
+                remedy = (
+                    f"this board lets the daemon wait for {lag.loop_ns * 1e-6:.0f} ms; {CROWDED}"
+                )
             return (
                 f"answers take {typical * 1e3:.0f} ms there and back, and {spread * 1e3:.0f} ms "
                 f"more or less: {remedy}"

@@ -9,6 +9,7 @@ from fastcrc import crc16
 from pymavlink.dialects.v10 import ardupilotmega as first
 
 from ekf_companion.config.config import Config
+from ekf_companion.config.service import HttpConfig
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Holder, Means, Opening
@@ -58,6 +59,25 @@ def test_a_link_that_does_not_open_says_why_and_what_to_do(opening, number, opti
     assert first_failure(results).stage is Stage.LINK
     assert said in words(results[0])
     assert {result.outcome for result in results[1:]} == {Outcome.UNKNOWN}
+
+
+@pytest.mark.parametrize("holder", [None, OURS])
+@pytest.mark.parametrize(
+    ("http", "said"),
+    [
+        ({"port": 9340}, "`ekf-companion status --url http://127.0.0.1:9340`"),
+        ({"host": "0.0.0.0", "port": 9340}, "status --url http://127.0.0.1:9340`"),
+        ({"host": "::"}, "status --url http://[::1]:9331`"),
+        ({"host": "10.0.0.2"}, "status --url http://10.0.0.2:9331`"),
+        ({"port": 0}, "`sudo systemctl stop ekf-companion"),
+    ],
+)
+def test_a_daemon_that_has_the_link_is_asked_at_its_configured_address(http, said, holder):
+    opening = replace(UDP, failure="it is taken", number=errno.EADDRINUSE, holder=holder)
+    evidence = replace(evidence_of(opening=opening), config=Config(http=HttpConfig(**http)))
+    found = words(diagnose(evidence)[0])
+    assert said in found
+    assert ("status" in found) == (http != {"port": 0})
 
 
 @pytest.mark.parametrize(
