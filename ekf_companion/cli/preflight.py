@@ -9,6 +9,7 @@ import typer
 
 from ekf_companion.cli.status import NO_DAEMON, URL, Answer, UrlOption, fetch
 from ekf_companion.cli.terminal import JsonOption, show
+from ekf_companion.cli.vehicle_view import named
 
 NOT_READY, ARMED = 5, 6
 """Exit codes."""
@@ -42,17 +43,21 @@ def preflight(
     if code == NO_DAEMON:
         typer.echo(f"ekf-companion: {verdict['sentence']}", err=True)
     else:
-        show(as_json, verdict, [verdict["sentence"]])
+        lines = [verdict["sentence"]]
+        if verdict["vehicle"]:
+            lines.append(f"{verdict['vehicle']}; {verdict['daemon']}")
+        show(as_json, verdict, lines)
     raise typer.Exit(code)
 
 
 def _ask(url: str) -> tuple[int, dict[str, Any]]:
-    """Return the exit code, and the verdict as ``/status`` contains it."""
+    """Return the exit code, and the verdict as ``/status`` contains it, with what it is of."""
     answer = fetch(url)
     if answer.code == NO_DAEMON:
         return NO_DAEMON, _unknown(answer)
     if (verdict := answer.data.get("preflight")) is not None:
         is_armed = "armed" in verdict["causes"]
+        verdict |= {"vehicle": named(answer.data), "daemon": answer.url}
         return 0 if verdict["ready"] else ARMED if is_armed else NOT_READY, verdict
     # A daemon whose loop is stuck answers with a sentence alone
     words = answer._replace(sentence=_OLD) if answer.data else answer
@@ -62,5 +67,5 @@ def _ask(url: str) -> tuple[int, dict[str, Any]]:
 def _unknown(answer: Answer) -> dict[str, Any]:
     """Return a verdict for a daemon that sent none."""
     words = answer.sentence if answer.code == NO_DAEMON else f"not ready: {answer.sentence}"
-    reasons = [answer.sentence]
-    return {"ready": False, "sentence": words, "reasons": reasons, "notes": [], "causes": []}
+    verdict = {"ready": False, "sentence": words, "reasons": [answer.sentence]}
+    return {**verdict, "notes": [], "causes": [], "vehicle": "", "daemon": answer.url}

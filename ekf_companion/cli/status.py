@@ -44,6 +44,8 @@ class Answer(NamedTuple):
     sentence: str
     data: dict[str, Any]
     """Of ``/status``; empty if it did not come."""
+    url: str = ""
+    """Of the daemon that answered, without a token."""
 
 
 def status(
@@ -77,7 +79,8 @@ def fetch(url: str) -> Answer:
     if _HOST_AND_PORT.match(url) and not is_link:
         url = f"http://{url}"
     base, _, token = url.partition("?token=")
-    where = f"{base.rstrip('/')}/status"
+    base = base.rstrip("/")
+    where = f"{base}/status"
     if not url.startswith(("http://", "https://")):
         other = " (a link is named with --link)" if is_link else ""
         return Answer(NO_DAEMON, f"--url: {url}: is no address; write it as in {URL}{other}", {})
@@ -89,7 +92,7 @@ def fetch(url: str) -> Answer:
         health = data["health"]
         # A daemon that was not restarted after an upgrade does not say is_ok
         is_ok = health["is_ok" if "is_ok" in health else "is_healthy"]
-        return Answer(0 if is_ok else NOT_OK, health["words"], data)
+        return Answer(0 if is_ok else NOT_OK, health["words"], data, base)
     except HTTPError as error:
         if error.headers.get_content_type() != "text/plain":
             return Answer(NO_DAEMON, _FOREIGN.format(where), {})
@@ -114,7 +117,7 @@ def _print(answer: Answer, as_json: bool, *, is_brief: bool) -> None:
     elif as_json:
         typer.echo(json.dumps(answer.data, indent=2))
     else:
-        Console().print(view(answer.data, is_brief=is_brief))
+        Console().print(view(answer.data, answer.url, is_brief=is_brief))
 
 
 def _watch(url: str, as_json: bool, *, is_brief: bool) -> Answer:
@@ -132,7 +135,9 @@ def _watch(url: str, as_json: bool, *, is_brief: bool) -> Answer:
     def page() -> RenderableType:
         nonlocal answer
         answer = fetch(url)
-        return view(answer.data, is_brief=is_brief) if answer.data else Text(answer.sentence)
+        if not answer.data:
+            return Text(answer.sentence)
+        return view(answer.data, answer.url, is_brief=is_brief)
 
     watch(page, PERIOD)
     return answer

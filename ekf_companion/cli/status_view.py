@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ekf_companion.cli.vehicle_view import vehicle_parts
+from ekf_companion.cli.vehicle_view import named, vehicle_parts
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -16,8 +16,11 @@ _SLOW = 0.5
 """Share of the requested rate below which a message is marked."""
 
 
-def view(data: Data, *, is_brief: bool = False) -> Group:
-    """Return the page for an answer of ``/status``, the most useful first; in brief, only that."""
+def view(data: Data, url: str, *, is_brief: bool = False) -> Group:
+    """Return the page for an answer of ``/status``, the most useful first; in brief, only that.
+
+    ``url`` is where it was asked.
+    """
     from rich.console import Group
     from rich.text import Text
 
@@ -25,7 +28,8 @@ def view(data: Data, *, is_brief: bool = False) -> Group:
     is_good = health.get("is_ok") and (data["estimator"] or {}).get("status") == "ok"
     colour = "green" if is_good else "yellow" if health["is_healthy"] else "red"
     verdict = Text(health["words"], style=f"bold {colour}")
-    parts = [verdict, *vehicle_parts(data)]
+    vehicle = vehicle_parts(data)
+    parts = [verdict, *vehicle[:1], Text(f"{named(data)}; {url}", style="dim"), *vehicle[1:]]
     if is_brief:
         return Group(*parts)
     parts += [_stages(data), _rates(data["messages"])]
@@ -39,8 +43,9 @@ def _table(*columns: str) -> Table:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
+    for column in columns:
+        table.add_column(column, justify="right", overflow="fold")
+    table.columns[0].justify, table.columns[0].no_wrap = "left", True
     return table
 
 

@@ -16,6 +16,15 @@ _OLD_S = 1.0
 """Age, s, from which on an estimate is shown with its age."""
 
 
+def named(data: Data) -> str:
+    """Return which vehicle a status is of, over which link."""
+    peer, link = data["peer"], data["link"]["url"]
+    if not peer:
+        return f"no autopilot yet, on {link}"
+    text = f"system {peer['system_id']}, {peer['family']} {peer['version']}".strip()
+    return f"{text}, on {link}"
+
+
 def vehicle_parts(data: Data) -> list[RenderableType]:
     """Return verdict, vehicle and aids; nothing if the daemon is too old to send them."""
     from rich.text import Text
@@ -49,10 +58,12 @@ def _numbers(vehicle: Data, age_s: float | None) -> Table:
     estimate = f"estimate, {fixed(age_s, 1)} s ago" if is_old else "estimate"
     table = _plain_table("Vehicle", estimate, "one sigma", f"autopilot{age}", "")
     table.columns[4].justify = "left"
+    for column in (1, 3):  # their titles are longer than the numbers
+        table.columns[column].no_wrap = False
     for name, key, std, digits, unit in (
         ("latitude", "lat_deg", f"{fixed(sigma['north_m'], 2)} m", 7, "deg"),
         ("longitude", "lon_deg", f"{fixed(sigma['east_m'], 2)} m", 7, "deg"),
-        ("height", "alt_m", f"{fixed(sigma['alt_m'], 2)} m", 2, "m above the sea"),
+        ("height", "alt_m", f"{fixed(sigma['alt_m'], 2)} m", 2, "m AMSL"),
         ("roll", "roll_deg", f"{fixed(sigma['roll_deg'], 1)} deg", 1, "deg"),
         ("pitch", "pitch_deg", f"{fixed(sigma['pitch_deg'], 1)} deg", 1, "deg"),
         ("heading", "heading_deg", f"{fixed(sigma['heading_deg'], 1)} deg", 1, "deg"),

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -59,10 +60,13 @@ def test_it_waits_until_the_vehicle_is_ready(tmp_path):
     with standing(tmp_path) as url:
         result = preflight("--url", url, "--wait", LIMIT)
         assert result.exit_code == 0, result.output
-        assert result.stdout == "ready\n"
+        first, second = result.stdout.splitlines()
+        assert first == "ready"
+        assert re.fullmatch(rf"system 1, px4 [\d.]+, on udpin:127.0.0.1:\d+; {url}", second)
         again = preflight("--url", url, "--json")
     found = json.loads(again.stdout)
     assert (again.exit_code, found["ready"], found["sentence"]) == (0, True, "ready")
+    assert f"{found['vehicle']}; {found['daemon']}" == second
 
 
 @pytest.mark.campaign

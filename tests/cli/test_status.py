@@ -190,7 +190,7 @@ def data():
 def page(data, width=200, **options):
     console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     with contextlib.closing(console.file):
-        console.print(view(data, **options))
+        console.print(view(data, "http://127.0.0.1:9331", **options))
     return console.export_text()
 
 
@@ -210,8 +210,31 @@ def test_the_page_shows_rates_against_what_was_asked_and_every_aid(data):
     assert "99.9 % within 0.3 ms" in text
 
 
-def test_the_page_fits_a_narrow_terminal(data):
-    assert max(map(len, page(data, width=60).splitlines())) <= 60
+@pytest.mark.parametrize("width", [60, 80])
+def test_a_narrow_terminal_cuts_no_word_and_no_number(data, width):
+    vehicle, sigma = data["vehicle"], {**data["vehicle"]["sigma"], "north_m": 12345.67}
+    place = {
+        "lon_deg": -122.4194155,
+        "autopilot": {**vehicle["autopilot"], "lon_deg": -122.4194156},
+    }
+    told = {**data, "sample_age_s": 12.3, "vehicle": {**vehicle, **place, "sigma": sigma}}
+    slow = {**data["messages"]["HIGHRES_IMU"], "cause": "the link is full: lower link.imu_rate"}
+    told["messages"] = {**data["messages"], "GLOBAL_POSITION_INT": slow}
+    text = page(told, width=width)
+    assert max(map(len, text.splitlines())) <= width
+    assert "…" not in text
+    words = text.split()
+    for whole in ("-122.4194155", "-122.4194156", "range_finder", "GLOBAL_POSITION_INT", "AMSL"):
+        assert whole in words
+    assert re.search(r"^speed north +.* m/s *$", text, re.MULTILINE)
+    assert " 12345.67 m " in text
+
+
+def test_the_page_names_the_vehicle_its_link_and_the_daemon_that_was_asked(data):
+    lines = page(data, is_brief=True).splitlines()
+    assert lines[2] == "system 1, px4 1.16.0, on udpin:127.0.0.1:14550; http://127.0.0.1:9331"
+    none = page({**data, "peer": None}, is_brief=True)
+    assert "no autopilot yet, on udpin:127.0.0.1:14550; http://127.0.0.1:9331" in none
 
 
 def test_words_in_brackets_are_shown_as_they_are(data):
@@ -238,7 +261,7 @@ def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
 def test_the_page_begins_with_the_verdicts_and_where_the_vehicle_is(data):
     lines = page(data).splitlines()
     assert lines[1].startswith("take-off: armed already: ")
-    names = [line.split("  ")[0] for line in lines[2:19]]
+    names = [line.split("  ")[0] for line in lines[3:20]]
     assert names[:4] == ["Vehicle", "latitude", "longitude", "height"]
     assert names[-6:] == ["position", "height", "velocity", "heading", "baro", "rest"]
     vehicle = data["vehicle"]
