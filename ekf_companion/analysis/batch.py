@@ -14,7 +14,7 @@ from ekf_companion.core.memory.aid import BY_KIND
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
 from ekf_companion.logs.csv_columns import map_beside
-from ekf_companion.logs.estimate import is_estimate, of_table
+from ekf_companion.logs.estimate import OWN, is_written, of_table
 from ekf_companion.logs.recording import counted
 from ekf_companion.logs.source import real_path, suffix_of
 from ekf_companion.nav.measurements import Kind
@@ -131,6 +131,8 @@ def _why_not(path: Path) -> str:
     """Return why a file in a folder is left out; empty: it may be a log."""
     if suffix_of(path) not in SUFFIXES:
         return f"none of {', '.join(SUFFIXES)}"
+    if is_written(path):
+        return OWN
     if path.suffix.lower() != ".csv" or map_beside(path) is not None:
         return ""
     try:
@@ -138,8 +140,6 @@ def _why_not(path: Path) -> str:
             names = [name.strip() for name in file.readline(1 << 16).split(",")]
     except OSError:
         return ""  # it may be one, and its row says why it cannot be read
-    if is_estimate(path):
-        return "an estimate that convert wrote"
     if any(name.startswith("gyro_x") for name in names) or csv_known.find(names) is not None:
         return ""
     return "a table without inertial samples: no column gyro_x; name it by itself to have it read"

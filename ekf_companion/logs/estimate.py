@@ -7,6 +7,8 @@ ellipsoid were turned into metres of a sphere.
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,10 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
+from ekf_companion.logs.source import head_of, suffix_of
 from ekf_companion.logs.table import Table
+from ekf_companion.logs.ulog_writer import SYSTEM
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import SIMULATED
@@ -144,7 +149,11 @@ def _timed(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt
 
 
 OWN = "an estimate that convert wrote"
-"""Note on a file that :func:`is_estimate` recognises."""
+"""Note on a file that :func:`is_estimate` or :func:`is_written` recognises."""
+_HEAD = 1 << 23
+"""Bytes of a .tlog that are looked at: minutes of a flight."""
+_FEW = 5
+"""Seconds of an estimate without a heartbeat; a daemon sends one each second."""
 
 
 def is_estimate(path: Path) -> bool:
@@ -157,3 +166,27 @@ def is_estimate(path: Path) -> bool:
             return header in (COLUMNS, COLUMNS[:-1])  # the last came later
     except OSError:
         return False
+
+
+def is_written(path: Path) -> bool:
+    """Return whether ``convert`` wrote a file, by its beginning.
+
+    A .tlog may hold the log that it was made from too: then only its estimate has no heartbeat.
+    """
+    suffix = suffix_of(path)
+    if suffix == ".ulg":
+        return SYSTEM in head_of(path, 1 << 12)
+    return is_estimate(path) if suffix != ".tlog" else _has_silent_estimate(head_of(path, _HEAD))
+
+
+def _has_silent_estimate(head: bytes) -> bool:
+    """Return whether a sender of a .tlog sends the state of an estimate and never a heartbeat."""
+    states = Counter(_senders("ESTIMATOR_STATUS", head))
+    sent = {sender for sender, count in states.items() if count >= _FEW}
+    return bool(sent.difference(_senders("HEARTBEAT", head)))
+
+
+def _senders(name: str, head: bytes) -> list[bytes]:
+    """Return system and component of each frame of MAVLink 2 with a message."""
+    message = re.escape(IDS[name].to_bytes(3, "little"))
+    return re.findall(rb"(?s)\xfd....(..)" + message, head)

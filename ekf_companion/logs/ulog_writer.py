@@ -43,7 +43,16 @@ _TOPICS: dict[str, list[tuple[Any, ...]]] = {
 }
 """PX4's names of the topics and fields that are written."""
 _NAMES = {"u8": "uint64_t", "f4": "float", "f8": "double", "u1": "uint8_t", "?": "bool"}
-_INFORMATION = {"sys_name": "ekf-companion", "ver_sw": __version__}
+
+
+def _information(key: str, text: str) -> bytes:
+    """Return the content of a message with a fact about what is logged."""
+    name = f"char[{len(text)}] {key}".encode()
+    return bytes([len(name)]) + name + text.encode()
+
+
+SYSTEM = _information("sys_name", "ekf-companion")
+"""By which a .ulg of ours is known."""
 
 
 class Writer(EstimateWriter):
@@ -53,9 +62,8 @@ class Writer(EstimateWriter):
         super().__init__(path)
         self.file.write(MAGIC + b"\x01" + bytes(8))
         self._message("B", bytes(40))
-        for key, text in _INFORMATION.items():
-            name = f"char[{len(text)}] {key}".encode()
-            self._message("I", bytes([len(name)]) + name + text.encode())
+        for content in (SYSTEM, _information("ver_sw", __version__)):
+            self._message("I", content)
         for topic, fields in _TOPICS.items():
             texts = [_declared(*one) for one in fields]
             self._message("F", f"{topic}:{''.join(texts)}".encode())

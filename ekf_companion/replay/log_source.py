@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.content import check_suffix
-from ekf_companion.logs.estimate import OWN, is_estimate
+from ekf_companion.logs.estimate import OWN, is_written
 from ekf_companion.logs.onboard import Onboard
 from ekf_companion.logs.recording import CLOCK_SET_S, LATEST_S, Recording
 from ekf_companion.logs.source import suffix_of
@@ -46,12 +46,14 @@ def open_log(path: Path) -> Log:
         raise LogError(
             f"{path}: a folder; name one log in it, or all: ekf-companion batch {path} -o table.csv"
         )
-    if path.is_file() and is_estimate(path):
-        raise LogError(
-            f"{path}: {OWN}, and no log; name the log that it was made "
-            f"from, or: ekf-companion compare {path} --reference TRUTH.csv"
-        )
     suffix = suffix_of(path)
+    # A .tlog holds the log that it was made from too
+    if path.is_file() and suffix != ".tlog" and is_written(path):
+        compared = f", or: ekf-companion compare {path} --reference TRUTH.csv"
+        raise LogError(
+            f"{path}: {OWN}, and no log; name the log that it was made from"
+            f"{compared if suffix == '.csv' else ''}"
+        )
     check_suffix(path, suffix)
     if suffix == ".tlog":
         from ekf_companion.logs import tlog

@@ -19,8 +19,11 @@ from ekf_companion.analysis.batch_run import Processes, run
 from ekf_companion.analysis.batch_table import lines
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
-from ekf_companion.errors import ConfigError
+from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs.estimate import COLUMNS as ESTIMATE_COLUMNS
+from ekf_companion.mavlink.codec import Sender, pack
+from ekf_companion.replay.log_source import open_log
+from ekf_companion.review.convert import convert
 from sim_autopilot.__main__ import app as sim
 from tests.analysis import batch_tasks
 from tests.daemon.waiting import LIMIT
@@ -254,6 +257,26 @@ def test_why_a_table_is_left_out_is_said_and_no_file_counts_twice(tmp_path):
     assert f"{tmp_path}/below/wind.csv (a table without inertial samples: no column" in words
     assert f"{tmp_path}/3.txt and 2 more (none of .tlog, .bin, .ulg, .csv)" in words
     assert "columns.yaml" not in words
+
+
+def test_what_convert_wrote_beside_a_log_is_no_log_of_its_own(folder, tmp_path):
+    flight = shutil.copy(folder / "a0.tlog", tmp_path / "flight.tlog")
+    convert(flight, [tmp_path / "estimate.tlog", tmp_path / "estimate.ulg"], Config())
+    beat = Sender(1, 194).frame("HEARTBEAT", pack("HEARTBEAT", mavlink_version=3))
+    written = (tmp_path / "estimate.tlog").read_bytes()
+    (tmp_path / "recorded.tlog").write_bytes(written + written[:8] + beat)
+
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["flight.tlog", "recorded.tlog"]
+    words = left_out([str(tmp_path)], logs)
+    assert words.startswith("2 files left out: ")
+    assert words.endswith("(an estimate that convert wrote)")
+    named = tmp_path / "estimate.tlog"
+    assert find_logs([str(named)]) == [named]
+    with pytest.raises(
+        LogError, match=r"estimate\.ulg: an estimate that convert wrote, and no log"
+    ):
+        open_log(tmp_path / "estimate.ulg")
 
 
 @pytest.mark.parametrize(
