@@ -18,6 +18,7 @@ import msgspec
 import yaml
 
 from ekf_companion.config.config import Config
+from ekf_companion.config.expected import range_of
 from ekf_companion.config.keys import KEYS, Key, value_of
 from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from tests.paths import ROOT
@@ -119,21 +120,13 @@ def _values(hint: Any) -> list[str]:
     """Return what a type takes: words and ranges."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        ranges = [_range(one) for one in arguments if isinstance(one, msgspec.Meta)]
+        ranges = [range_of(one, _UNBOUNDED) for one in arguments if isinstance(one, msgspec.Meta)]
         return ranges or _values(arguments[0])
     if origin in (Union, UnionType):
         return [] if str in arguments else [value for one in arguments for value in _values(one)]
     if origin is tuple:
         return [f"each {value}".replace("each each", "each") for value in _values(arguments[0])]
     return list(arguments) if origin is Literal else ["null"] if hint is NoneType else []
-
-
-def _range(meta: msgspec.Meta) -> str:
-    low = f"{meta.ge:g}" if meta.ge is not None else f"above {meta.gt:g}"
-    high, limit = ("to", meta.le) if meta.le is not None else ("and below", meta.lt)
-    if limit is not None and limit < _UNBOUNDED:
-        return f"{low} {high} {limit:g}"
-    return f"{low} or more" if meta.ge is not None else low
 
 
 def _parameter_range(key: Key) -> str:

@@ -12,10 +12,11 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import msgspec
 
+from ekf_companion.config.expected import expected, found
 from ekf_companion.config.service import (
     CheckpointConfig,
     HttpConfig,
@@ -198,25 +199,27 @@ def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
     """Return which key and value are wrong, and what would do."""
     message, _, place = str(error).partition(" - at ")
     keys = re.findall(r"[A-Za-z_]+|\d+", place.replace("`", "").lstrip("$"))
-    value: Any = data
+    value, hint = data, Any
+    kind: Any = Config
     for key in keys:
-        if isinstance(value, (list, dict)):
-            value = value[int(key)] if isinstance(value, list) else value[key]
-    message = message.replace("`", "")
-    if keys and not keys[-1].isdigit() and message.startswith(("Invalid", "Expected float | str")):
-        message = f"expected {_choices(keys)}"
-    return f"{name}: {'.'.join(keys)}: {value!r:.60}: {message[0].lower() + message[1:]}"
+        if isinstance(value, list):
+            value = value[int(key)]
+        elif isinstance(value, dict):
+            value, hint = value[key], get_type_hints(kind, include_extras=True)[key]
+            kind = hint
+    names = [key for key in keys if not key.isdigit()]
+    takes = "write" if keys == names else f"{'.'.join(names)} takes"
+    return f"{name}: {'.'.join(keys)}: {_wrong(value, message)}; {takes} {expected(hint)}"
 
 
-def _choices(keys: list[str]) -> str:
-    """Return the words that a key takes, and whether a number would do too."""
-    hint: Any = Config
-    for key in keys:
-        hint = get_type_hints(hint)[key]
-    types = [hint] if get_origin(hint) is Literal else get_args(hint)
-    words = [word for one in types if get_origin(one) is Literal for word in get_args(one)]
-    others = ["a number"] if any(get_origin(one) is not Literal for one in types) else []
-    return " or ".join(words + others)
+def _wrong(value: object, message: str) -> str:
+    """Return what is wrong with a value, by msgspec's message on it."""
+    if isinstance(value, list) and "of length" in message:
+        return f"{value!r:.60} has {len(value)} values"
+    if isinstance(value, str) and message.startswith("Invalid"):
+        return f"{value!r:.60} is no such word"
+    is_beyond = any(sign in message for sign in "<>")
+    return f"{value!r:.60} is out of range" if is_beyond else found(value)
 
 
 def describe_config(config: object) -> Mapping[str, Any]:
