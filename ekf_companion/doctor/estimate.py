@@ -106,7 +106,9 @@ def _aids(health: Health) -> Iterator[Problem]:
         fused = health.fused(aid)
         share, nis = gated / max(gated + fused, 1), health.nis[aid]
         if gated > 5 and share > _MANY:
-            yield warning(f"{share:.0%} of the {label} measurements contradict the estimate.", cure)
+            yield warning(
+                f"{share:.0%} of the measurements of the {label} contradict the estimate.", cure
+            )
         elif math.isfinite(nis) and nis > _NIS and fused > 20:
             scatter = f"The {label} scatters {math.sqrt(nis):.1f} times as much as it claims."
             yield warning(scatter, cure)

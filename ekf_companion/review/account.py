@@ -35,7 +35,10 @@ _LOOK = {
         "headings",
         "look at heading (rad from true north, clockwise) or mag (a field that is the Earth's)",
     ),
-    **{one.name: ("measurements", one.advice.rstrip(".")) for one in DECLARED},
+    **{
+        one.name: ("measurements", one.advice[0].lower() + one.advice[1:].rstrip("."))
+        for one in DECLARED
+    },
 }
 _AFTER = {
     Status.DEAD_RECKONING: "no fix was used for more than a second, and the error grows",

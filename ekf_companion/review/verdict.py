@@ -37,7 +37,7 @@ LARGEST_LOSS = 0.05
 AIDS = {
     Aid.HEIGHT: "receiver's heights",
     Aid.VELOCITY: "receiver's velocities",
-    **{Aid[one.name.upper()]: f"{one.sensor}'s {one.words}" for one in DECLARED},
+    **{Aid[one.name.upper()]: f"{one.sensor}'s measurements" for one in DECLARED},
 }
 """Aids besides the fixes, in words; the headings are judged by sensor."""
 SENSORS = {

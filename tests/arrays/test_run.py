@@ -622,4 +622,4 @@ def test_of_a_declared_aid_is_said_what_was_dropped_and_what_was_refused(flown):
     wild = np.random.default_rng(1).uniform(0.3, 400.0, len(t))
     found = flown.estimate(aids={"range_finder": {"time": t, "range": wild}})
     (note,) = [one for one in found.notes if one.startswith("range_finder: ")]
-    assert re.match(r"range_finder: \d+ of 7\d\d measurements refused \(Look at what it poi", note)
+    assert re.match(r"range_finder: \d+ of 7\d\d measurements refused \(look at what it poi", note)

@@ -39,6 +39,21 @@ def from_autopilot(rms, to_fixes=None, worst=0.0):
     return Evidence(sigma=SURE.sigma, autopilot=Size(rms, worst, 72.0), to_fixes=to_fixes)
 
 
+@pytest.mark.parametrize(
+    ("aid", "fused", "words"),
+    [
+        (Aid.BARO, 63, "37% of the barometer's measurements refused"),
+        (Aid.RANGE_FINDER, 63, "37% of the range finder's measurements refused"),
+        (Aid.RANGE_FINDER, 0, "all 37 of the range finder's measurements refused"),
+    ],
+)
+def test_a_declared_aid_that_was_refused_often_is_named_by_its_sensor(aid, fused, words):
+    found = report()
+    counts = dict.fromkeys(Verdict, 0) | {Verdict.FUSED: fused, Verdict.GATED: 37}
+    found.health = replace(found.health, verdicts={**found.health.verdicts, aid: counts})
+    assert judge(found, SURE).aside == (words,)
+
+
 OTHER = Evidence(truth=Size(1.3e7, 1.3e7, 1.0), truth_to_fixes=(0.8, 1.3e7))
 LIES = Evidence(truth=Size(18.0, 25.0, 1.0), truth_to_fixes=(20.0, 25.0))
 """A receiver that lies all flight long, and an estimate that follows only partly."""
