@@ -17,6 +17,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -101,3 +102,18 @@ def part_of(extra: str, subject: str) -> Iterator[None]:
         raise MissingPackageError(
             f"{subject}: needs {package}, which is not installed: {remedy(extra)}"
         ) from None
+
+
+def require(extra: str, subject: str, package: str) -> None:
+    """Refuse, before any work is done, what a missing extra would end.
+
+    Args:
+        extra: The extra's name in the package's metadata.
+        subject: What needs the package, to begin the sentence with.
+        package: The package, or a module of it.
+
+    Raises:
+        MissingPackageError: It is not installed.
+    """
+    with part_of(extra, subject):
+        import_module(package)

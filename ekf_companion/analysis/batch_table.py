@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ekf_companion.analysis.batch import COLUMNS, Row
-from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.errors import ConfigError, require
 from ekf_companion.logs.recording import counted
 from ekf_companion.logs.writer import create
 
@@ -19,13 +19,16 @@ FEWEST = 50
 
 
 def check(path: Path) -> None:
-    """Refuse a file of no known kind.
+    """Refuse a file of no known kind, or of one that cannot be written here.
 
     Raises:
-        ConfigError: It is refused.
+        ConfigError: It is of no known kind.
+        MissingPackageError: The package for Parquet is not installed.
     """
     if path.suffix not in KINDS:
         raise ConfigError(f"{path}: unknown kind of table; known are {', '.join(KINDS)}")
+    if path.suffix == ".parquet":
+        require("formats", str(path), "pyarrow.parquet")
 
 
 def write(path: Path, rows: Sequence[Row]) -> None:
@@ -33,13 +36,12 @@ def write(path: Path, rows: Sequence[Row]) -> None:
 
     Raises:
         LogError: The file cannot be written.
-        MissingPackageError: The package for Parquet is not installed.
     """
     with create(path) as file:
         if path.suffix == ".parquet":
-            with part_of("formats", str(path)):
-                import pyarrow as pa
-                from pyarrow import parquet
+            import pyarrow as pa
+            from pyarrow import parquet
+
             types = {str: pa.string(), int: pa.int64(), float: pa.float64()}
             schema = pa.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
             parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), file)

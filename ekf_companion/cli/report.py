@@ -9,7 +9,7 @@ import typer
 
 from ekf_companion.cli import terminal
 from ekf_companion.cli.progress import progress_line
-from ekf_companion.errors import ConfigError
+from ekf_companion.errors import ConfigError, require
 
 
 def report(
@@ -34,6 +34,9 @@ def report(
                 f"--out: {out}: a report is a .html; --png draws a picture beside it, --json "
                 "prints its numbers, and convert writes tracks (.kml, .gpx)"
             )
+        require("report", "report", "bokeh")
+        if png:
+            require("plot", "--png", "matplotlib.figure")
         truth = terminal.read_truth(reference)
         found = flight_review.review(log, terminal.load(config), progress, truth)
         progress.stage(f"{log.name}: writing the report")

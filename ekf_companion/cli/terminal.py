@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ekf_companion.cli.progress import progress_line
-from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError, remedy
+from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError, remedy, require
 from ekf_companion.logs.source import real_path
 
 if TYPE_CHECKING:
@@ -112,12 +112,13 @@ def show(as_json: bool, data: object, lines: Iterable[str], *, err: bool = False
 def check_outputs(
     inputs: dict[str, Path | None], outputs: Sequence[tuple[str, Path | None]]
 ) -> None:
-    """Refuse an output that is an input, another output or several, or whose folder is missing.
+    """Refuse, before any work, an output that cannot be written or would overwrite another file.
 
     Inputs are named by what they are, as in ``the log``, outputs by their option.
 
     Raises:
         ConfigError: An output is refused.
+        MissingPackageError: A figure is asked for, which cannot be drawn here.
     """
     taken = {real_path(path): name for name, path in inputs.items() if path is not None}
     for option, path in outputs:
@@ -131,6 +132,8 @@ def check_outputs(
             raise ConfigError(f"{option}: {path}: there is no such folder; make it first")
         if option == "--plot" and path.suffix.lower() not in FIGURES and not path.is_dir():
             raise ConfigError(f"--plot: {path}: a figure is a .png, .pdf or .svg; name one of them")
+        if option == "--plot":
+            require("plot", f"--plot: {path}", "matplotlib.figure")
         taken[real_path(path)] = f"what {option} writes"
 
 

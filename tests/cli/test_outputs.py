@@ -9,6 +9,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
+from ekf_companion.cli import app
 from sim_autopilot.__main__ import app as sim
 
 ROOM = 4096
@@ -167,3 +168,27 @@ def test_links_in_a_circle_are_a_sentence_as_a_log_and_no_output_to_mistake(log,
     done = run("convert LOG -o", log, one)
     assert done.returncode == 0, done.stderr
     assert one.read_text().startswith("time_us,")
+
+
+@pytest.mark.parametrize(
+    ("command", "package", "extra"),
+    [
+        ("report none.tlog", "bokeh", "report"),
+        ("report none.tlog --png", "matplotlib.figure", "plot"),
+        ("compare none.tlog --plot out.png", "matplotlib.figure", "plot"),
+        ("observability none.tlog --plot out.png", "matplotlib.figure", "plot"),
+        ("batch LOG -o out.parquet", "pyarrow.parquet", "formats"),
+    ],
+)
+def test_a_missing_extra_is_noticed_before_any_log_is_read(
+    tmp_path, monkeypatch, command, package, extra
+):
+    (tmp_path / "flight.bin").write_bytes(b"no log")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)
+    done = CliRunner().invoke(app, command.replace("LOG", "flight.bin").split())
+    assert done.exit_code == 1
+    named = package.partition(".")[0]
+    assert f"needs {named}, which is not installed: {sys.executable} -m pip in" in done.stderr
+    assert f"[{extra}]" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.bin"]
