@@ -194,8 +194,12 @@ class _Clock:
 
     def notes(self) -> Iterator[str]:
         """Return notes on rows that were dropped."""
-        why = "without a time, or one that does not fit the rest,"
-        yield from misfits(self.lost, len(self._rows), why)
+        why = "without a time, or with one that does not fit the rest"
+        zeros = timed = 0
+        for _, t_ns in self._stamps() if self.lost else ():
+            is_kept = series.in_ranges(self._ranges, timed, len(t_ns))
+            zeros, timed = zeros + int(((t_ns == 0) & ~is_kept).sum()), timed + len(t_ns)
+        yield from misfits(self.lost, len(self._rows), why, zeros)
 
     def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
         """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""

@@ -52,10 +52,10 @@ OFTEN = 0.5
 """Share of rows beyond which a note speaks of most rows."""
 
 
-def misfits(lost: int, total: int, words: str) -> list[str]:
+def misfits(lost: int, total: int, words: str, zeros: int = 0) -> list[str]:
     """Return a note on rows that were dropped because of their stamps; none if there are none.
 
-    If they are most of all rows, it names the likely cause.
+    It names how many of them are stamped 0, and if they are most of all rows, the likely cause.
     """
     if not lost:
         return []
@@ -63,6 +63,7 @@ def misfits(lost: int, total: int, words: str) -> list[str]:
         ": they are not in the order of their times, or of several clocks; sort them by time, or "
         "run each recording by itself"
     )
+    words += f" ({zeros} of them 0)" if zeros else ""
     return [f"{lost} rows {words} were dropped{why if lost > OFTEN * total else ''}"]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -245,12 +245,17 @@ def touches(spans: Spans, others: Spans) -> bool:
     return any(a <= d and c <= b for a, b in spans for c, d in others)
 
 
-def left_out(runs: Mapping[str, CommonRun], rows: Mapping[str, tuple[int, int]]) -> list[str]:
+def left_out(
+    runs: Mapping[str, CommonRun],
+    rows: Mapping[str, tuple[int, int]],
+    stamps: Callable[[str], Iterable[Stamps]],
+) -> list[str]:
     """Return notes on rows that are not used because of their stamps.
 
     Args:
         runs: Of the tables.
         rows: Of each table by name: the number of rows, and of those in use.
+        stamps: Returns those of a table by its name, part by part.
     """
     whole, used = (sum(of[index] for of in rows.values()) for index in (0, 1))
     outside = sum(
@@ -258,9 +263,22 @@ def left_out(runs: Mapping[str, CommonRun], rows: Mapping[str, tuple[int, int]])
         for name, (_, used_of) in rows.items()
         if name in runs and runs[name].spans and touches(runs[name].own, runs[name].spans)
     )
-    found = misfits(whole - used - outside, whole, "whose time stamps do not fit the log's clock")
+    lost, zeros = whole - used - outside, 0
+    for name in rows if lost else ():
+        zeros += _zeros(runs[name], stamps(name)) if name in runs else 0
+    words = "whose time stamps do not fit the log's clock"
+    found = misfits(lost, whole, words, min(zeros, lost))
     if outside:
         found.append(f"{outside} rows before or after the inertial samples were left out")
+    return found
+
+
+def _zeros(run: CommonRun, parts: Iterable[Stamps]) -> int:
+    """Return how many rows of a table are stamped 0 and off the run."""
+    first = found = 0
+    for t_ns in parts:
+        found += int(((t_ns == 0) & ~run.holds(first, t_ns)).sum())
+        first += len(t_ns)
     return found
 
 

@@ -105,7 +105,8 @@ def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
     stamps = {name: stamps_of(rows) for name, rows in found.items()}
     runs = series.common_run(stamps, "sensor_combined")
     kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}
-    notes += series.left_out(runs, {one: (len(found[one]), len(kept[one])) for one in found})
+    counts = {name: (len(rows), len(kept[name])) for name, rows in found.items()}
+    notes += series.left_out(runs, counts, lambda name: stamps_of(found[name]))
     extent = series.extent(runs, [name for name in _SENSORS if name in found], "sensor_combined")
     return {name: rows for name, rows in kept.items() if len(rows)}, extent
 

@@ -38,6 +38,17 @@ def test_a_native_file_needs_no_map(read):
     assert recording.events.values[0, :6].tolist() == [1, 2, 3, 4, 5, 6]
 
 
+def test_rows_that_are_stamped_zero_are_dropped_and_named(read):
+    times = [0 if number in (40, 41) else 30_000_000 + 10_000 * number for number in range(300)]
+    rows = [f"{time},{number}" for number, time in enumerate(times)]
+    found = read("\n".join(["time_us,baro_alt_m", *rows, ""]))
+    assert len(found.events) == 298
+    note = (
+        "2 rows without a time, or with one that does not fit the rest (2 of them 0) were dropped"
+    )
+    assert note in found.notes
+
+
 @pytest.mark.parametrize(("unit", "time"), [("us", "1500000"), ("ms", "1500"), ("s", "1.5")])
 def test_time_may_be_in_three_units(read, unit, time):
     assert read(f"time_{unit},baro_alt_m\n{time},7\n").events.t_ns.tolist() == [1_500_000_000]

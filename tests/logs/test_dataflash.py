@@ -169,15 +169,26 @@ def test_a_row_whose_type_was_damaged_is_not_taken_for_a_shorter_one(tmp_path):
     assert len(tables["IMU"]) == 19
 
 
-def test_rows_of_a_damaged_clock_are_dropped_and_counted(read):
+@pytest.mark.parametrize(
+    ("begin_us", "damaged", "note"),
+    [
+        (0, {500: 2**60}, "1 rows whose time stamps do not fit the log's clock were dropped"),
+        (
+            30_000_000,
+            {400: 2**60, 500: 0, 600: 0},
+            "3 rows whose time stamps do not fit the log's clock (2 of them 0) were dropped",
+        ),
+    ],
+)
+def test_rows_of_a_damaged_clock_are_dropped_and_counted(read, begin_us, damaged, note):
     log = Writer()
     log.define(1, "IMU", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
     for index in range(1000):
-        us = 2**60 if index == 500 else 10_000 * index
+        us = damaged.get(index, begin_us + 10_000 * index)
         log.row("IMU", us, 0, 0, 0, 0, 0, -9.8)
     recording = read(log.data)
-    assert len(recording.events) == 999
-    assert "1 rows whose time stamps do not fit the log's clock were dropped" in recording.notes
+    assert len(recording.events) == 1000 - len(damaged)
+    assert note in recording.notes
 
 
 WHOLE = new_log()

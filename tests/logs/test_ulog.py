@@ -114,6 +114,17 @@ def of_kind(recording, kind):
     return recording.events.take(recording.events.kind == kind)
 
 
+def test_rows_that_are_stamped_zero_are_dropped_and_named(read):
+    log = Writer([COMBINED], {})
+    for index in range(300):
+        us = 0 if index in (40, 41) else 30_000_000 + 5000 * index
+        log.row(0, us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
+    found = read(log.data)
+    assert len(found.events) == 298
+    note = "2 rows whose time stamps do not fit the log's clock (2 of them 0) were dropped"
+    assert note in found.notes
+
+
 @pytest.mark.parametrize("gps", [OLD_GPS, NEW_GPS])
 def test_both_ways_to_name_a_position_are_read(read, gps):
     fixes = of_kind(read(small_log(gps)), Kind.GNSS)
