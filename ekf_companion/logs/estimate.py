@@ -21,7 +21,6 @@ from ekf_companion.logs import series
 from ekf_companion.logs.source import head_of, suffix_of
 from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_writer import SYSTEM
-from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import SIMULATED
@@ -188,5 +187,7 @@ def _has_silent_estimate(head: bytes) -> bool:
 
 def _senders(name: str, head: bytes) -> list[bytes]:
     """Return system and component of each frame of MAVLink 2 with a message."""
+    from ekf_companion.mavlink.messages import IDS  # a log of columns needs no MAVLink
+
     message = re.escape(IDS[name].to_bytes(3, "little"))
     return re.findall(rb"(?s)\xfd....(..)" + message, head)
