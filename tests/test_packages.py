@@ -109,7 +109,7 @@ def test_every_extra_that_a_sentence_names_is_one():
     for package in ("ekf_companion", "sim_autopilot"):
         for path in (ROOT / package).rglob("*.py"):
             source = path.read_text()
-            for extra in re.findall(r'(?:part_of|remedy)\(["\'](\w+)["\']', source):
+            for extra in re.findall(r'(?:part_of|remedy|require)\(["\'](\w+)["\']', source):
                 assert re.search(rf"^{extra} = \[", text, re.MULTILINE), (path, extra)
 
 
