@@ -219,7 +219,10 @@ def load(path: Path | None) -> SimConfig:
     try:
         return msgspec.convert(content, SimConfig)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {error}") from error
+        words, _, key = str(error).replace("`", "").partition(" - at $.")
+        words = words.replace("object", "table").replace("array", "list")
+        where = key or "the file"
+        raise ConfigError(f"{path}: {where}: {words[0].lower()}{words[1:]}") from error
 
 
 def _refuse_unknown(path: Path, content: Any, known: Any, where: str) -> None:

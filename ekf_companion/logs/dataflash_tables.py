@@ -79,7 +79,9 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
     }
     dataflash_old.stamp_by_place(kept, notes)
     sensors = [name for name in ("IMU", "GPS", "MAG", "BARO", "ATT") if name in tables]
-    counts = {name: (len(tables[name]), len(kept[name])) for name in sensors}
+    counts: dict[str, tuple[int, int]] = {
+        name: (len(tables[name]), len(kept[name])) for name in sensors
+    }
     notes += series.left_out(runs, counts, lambda name: stamps_of(tables[name]))
     extent = series.extent(runs, sensors, "IMU")
     return {name: table for name, table in kept.items() if len(table)}, extent

@@ -23,13 +23,14 @@ def test_a_file_says_only_what_differs(tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("imu: {rate: 0}", "imu.rate"),
+        ("imu: {rate: 0}", r"yaml: imu\.rate: expected float > 0"),
+        ("imu: {rate: fast}", r"yaml: imu\.rate: expected float, got str"),
         ("imu: {gyro_nosie: 1}", "gyro_nosie"),
         ("gnss: {noise_h: -1}", "noise_h"),
         ("gnss: {lever_arm: [1, 2]}", "lever_arm"),
         ("home: {lat: 91}", "lat"),
         ("compass: {year: 1999}", "year"),
-        ("imu: 5", "imu"),
+        ("imu: 5", "yaml: imu: expected table, got int"),
         ("[1, 2]", "sim.yaml"),
         ("a: [", "sim.yaml"),
     ],
