@@ -113,9 +113,11 @@ def test_every_extra_that_a_sentence_names_is_one():
                 assert re.search(rf"^{extra} = \[", text, re.MULTILINE), (path, extra)
 
 
-def test_whoever_waits_for_make_sees_that_it_goes_on():
+@pytest.mark.parametrize(("target", "what"), [("deb", "package"), ("wheel", "wheel")])
+def test_whoever_waits_for_make_sees_that_it_goes_on(target, what):
     said = subprocess.run(
-        ["make", "--dry-run", "deb"], cwd=ROOT, capture_output=True, text=True, check=True
+        ["make", "--dry-run", target], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
-    assert "Making a package in dist: packages are downloaded and the kernel is compiled" in said
+    assert f"Making a {what} in dist: packages are downloaded and the kernel is compiled" in said
+    assert "two to four minutes on two cores" in said
     assert 'echo "  working, $seconds s"' in said
