@@ -242,7 +242,7 @@ def _check_estimated(report: Report, path: Path) -> None:
     if report.estimates == 0 or set(report.seconds) <= _WITHOUT_NORTH:
         span = sum(report.seconds.values())
         what = "; ".join(report.notes) or "the log is too short to find down and north in it"
-        if report.estimates and span < LEAST:
+        if report.estimates and span < LEAST and not report.stamps.words:
             what = (
                 f"its inertial samples last {span:.2f} s; a second of rest, or some seconds of "
                 "motion with fixes, is the least to find down and north from"

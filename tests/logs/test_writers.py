@@ -181,7 +181,7 @@ def test_ulog_has_px4s_topics_for_pyulog_and_for_us(flown, capsys):
     world = log.get_dataset("vehicle_global_position").data
     assert world["lat"][-1] == table.column("lat_deg")[-1]
     # It holds no sensor: as a log it says so, as a trajectory it is read
-    with pytest.raises(LogError, match=r"nothing could be estimated|holds no inertial samples"):
+    with pytest.raises(LogError, match="an estimate that convert wrote, and no log"):
         convert(folder / "out.ulg", folder / "again.csv", Config())
     reference = ulog.read(folder / "out.ulg").reference
     assert reference.lat[-1] == pytest.approx(np.deg2rad(table.column("lat_deg")[-1]), abs=1e-12)
