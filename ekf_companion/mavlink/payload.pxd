@@ -1,8 +1,7 @@
 cimport cython
 from ekf_companion.mavlink.decode.fix cimport Fixes, GpsRawInt
 from ekf_companion.mavlink.decode.state cimport (
-    ContextState, DecoderState, FieldState, HeadingState, InertialState, PositionState,
-    PressureState, TrimState
+    ContextState, DecoderState, FieldState, HeadingState, InertialState, PressureState, TrimState
 )
 from ekf_companion.mavlink.timebase cimport TimeBase
 cdef int ACCEL_GYRO, MAG, PRESSURE, NORTH_CDEG
@@ -28,7 +27,7 @@ cdef packed struct Timesync:
     long long tc1, ts1
     unsigned char target_system, target_component
 cdef class PayloadReader:
-    cdef object session, buffer, own
+    cdef object session, buffer, own, position
     cdef dict newest
     cdef DecoderState decoder
     cdef ContextState context
@@ -37,7 +36,6 @@ cdef class PayloadReader:
     cdef FieldState mag
     cdef PressureState baro
     cdef HeadingState heading
-    cdef PositionState position
     cdef Fixes fixes
     cdef TimeBase clock
     cdef unsigned char[::1] payload

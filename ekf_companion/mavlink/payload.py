@@ -187,7 +187,7 @@ class PayloadReader:
             self.put_heading(t_ns, m.hdg * 1e-2 * DEGREE)
         if self.position.derived_pace.admit(t_ns):
             said = unpack(parsed(IDS["GLOBAL_POSITION_INT"], raw))
-            self.put_rows([self.decoder.position.derived(said, t_ns)])
+            self.put_rows([self.position.derived(said, t_ns)])
         return True
 
     def read_fix(self) -> bool:

@@ -10,7 +10,6 @@ from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.fix import Fixes
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
-from ekf_companion.mavlink.decode.state import PositionState
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.measurements import GnssFix, GnssFlag
@@ -23,7 +22,7 @@ _ALONE_NS = ABSENT_NS
 """The autopilot's own position waits for so long for a receiver that speaks."""
 
 
-class Position(PositionState):
+class Position:
     """Reads the position of the autopilot's own estimate."""
 
     def __init__(self, context: Context, heading: Heading, fixes: Fixes) -> None:
