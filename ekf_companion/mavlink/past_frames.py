@@ -82,7 +82,9 @@ class PastFrames:
         self._more = 0
         """Frames of the runs in it, but for one of each."""
         self._keys: dict[tuple[int, bytes], None] = {}
-        self._newest: dict[int, int] = {}
+        self.newest: dict[int, int] = {}
+        """Stamps, us or ms, of the newest frames that were looked through, by message id. Those of
+        fixes are of all that came, which the compiled reader notes too."""
         self._since_ns: int | None = None
         self._until_ns = 0
 
@@ -90,7 +92,7 @@ class PastFrames:
         """Forget all: another autopilot speaks, or this one's clock began anew."""
         self._waiting.clear()
         self._keys.clear()
-        self._newest.clear()
+        self.newest.clear()
         self._more, self._since_ns = 0, None
 
     def keep(self, item: Frame | tuple[Frames, int, int]) -> None:
@@ -122,8 +124,8 @@ class PastFrames:
         if (stamp := _stamp(frame.payload, place)) == 0:
             return False  # which is no time
         if frame.message_id in _FIXES:
-            newest = self._newest.get(frame.message_id, 0)
-            self._newest[frame.message_id] = max(newest, stamp)
+            newest = self.newest.get(frame.message_id, 0)
+            self.newest[frame.message_id] = max(newest, stamp)
             return stamp < newest
         behind = clock.behind(stamp, is_ms=place[2] != 1)
         return behind is not None and behind > (1000 if frame.message_id in _SAMPLES else SLACK_US)
@@ -137,7 +139,7 @@ class PastFrames:
         self._read()
         number, place = frame.message_id, self._places[frame.message_id]
         stamp = _stamp(frame.payload, place)
-        if stamp >= self._newest.get(number, 0):
+        if stamp >= self.newest.get(number, 0):
             self.keep(frame)
             return False
         if _key(number, frame.payload) not in self._keys:
@@ -176,8 +178,8 @@ class PastFrames:
             return
         self._keys[_key(number, payload)] = None
         stamp = _stamp(payload, place)
-        if stamp > self._newest.get(number, 0):
-            self._newest[number] = stamp
+        if stamp > self.newest.get(number, 0):
+            self.newest[number] = stamp
 
 
 def _size(item: Frame | tuple[Frames, int, int]) -> int:

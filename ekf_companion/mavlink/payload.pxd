@@ -1,7 +1,7 @@
 cimport cython
+from ekf_companion.mavlink.decode.fix cimport Fixes, GpsRawInt
 from ekf_companion.mavlink.decode.state cimport (
-    ContextState, DecoderState, FieldState, HeadingState, InertialState, PositionState,
-    PressureState, TrimState
+    ContextState, DecoderState, FieldState, HeadingState, InertialState, PressureState, TrimState
 )
 from ekf_companion.mavlink.timebase cimport TimeBase
 cdef int ACCEL_GYRO, MAG, PRESSURE, NORTH_CDEG
@@ -27,7 +27,8 @@ cdef packed struct Timesync:
     long long tc1, ts1
     unsigned char target_system, target_component
 cdef class PayloadReader:
-    cdef object session, buffer, own
+    cdef object session, buffer, own, position
+    cdef dict newest
     cdef DecoderState decoder
     cdef ContextState context
     cdef TrimState trim
@@ -35,11 +36,12 @@ cdef class PayloadReader:
     cdef FieldState mag
     cdef PressureState baro
     cdef HeadingState heading
-    cdef PositionState position
+    cdef Fixes fixes
     cdef TimeBase clock
     cdef unsigned char[::1] payload
     cdef HighresImu[::1] sample
     cdef Attitude[::1] attitude
+    cdef GpsRawInt[::1] fix
     cdef GlobalPositionInt[::1] place
     cdef Timesync[::1] timesync
     cdef long long[::1] out_t, out_kind
@@ -50,6 +52,7 @@ cdef class PayloadReader:
     cdef bint is_idle
     cdef use(self, buffer)
     cdef Py_ssize_t begin_row(self, long long t_ns, long long kind) noexcept
+    @cython.locals(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t_ns=cython.longlong)
     cdef put_rows(self, list measurements)
     cdef put_vector(self, Py_ssize_t i, Py_ssize_t first, double x, double y, double z)
     cdef put_heading(self, long long t_ns, double heading)
@@ -61,7 +64,7 @@ cdef class PayloadReader:
     cdef advance(self, long long stamp, object now_ns)
     cdef bint read_attitude(self, object now_ns) except -1
     cdef bint read_position(self, bytes raw, object now_ns) except -1
-    cdef bint read_fix(self, object frame) except -1
+    cdef bint read_fix(self) except -1
     @cython.locals(
         t_ns=cython.longlong, sampled=object, gx=cython.double, gy=cython.double, gz=cython.double,
         ax=cython.double, ay=cython.double, az=cython.double, mx=cython.double, my=cython.double,

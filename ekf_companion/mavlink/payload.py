@@ -12,6 +12,7 @@ import math
 import cython
 import numpy as np
 import numpy.typing as npt
+from cython.cimports.ekf_companion.mavlink.decode.fix import is_place
 from cython.cimports.libc.math import isfinite, sqrt
 
 from ekf_companion.mavlink.clock import FOREIGN
@@ -20,16 +21,17 @@ from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
 from ekf_companion.mavlink.decode.context import Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
 from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, OUT_OF_ORDER, PRESSURE
-from ekf_companion.mavlink.frame import Frame, parsed
+from ekf_companion.mavlink.frame import parsed
 from ekf_companion.mavlink.messages import IDS, by_name
 from ekf_companion.mavlink.past_frames import SLACK_US
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.timebase import LAST_US, NEAR_US, SURE_US, UNIX_FROM_US
 from ekf_companion.nav.buffer import EventBuffer
-from ekf_companion.nav.earth import is_place, pressure_altitude
+from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import WIDTH, HeadingSource, Kind, Row
 
 # Numbers here, and those that are imported, are typed in the .pxd
+FIX_ID = IDS["GPS_RAW_INT"]
 ROOM = 64
 """Bytes of the longest payload that is read here."""
 BOOT_US = (1 << 31) * 1000
@@ -48,13 +50,15 @@ class PayloadReader:
         decoder, options = session.decoder, session.options.decoder
         self.context, self.trim, self.imu = decoder.context, decoder.trim, decoder.inertial
         self.mag, self.baro, self.heading = decoder.mag, decoder.baro, decoder.heading
-        self.position = decoder.position
+        self.position, self.fixes = decoder.position, decoder.fixes
+        self.newest = session.past.newest
         self.imu_id, self.heading_std = options.imu_id, options.heading_std
         self.clock, self.is_idle = decoder.clock, False
         self.our_system, self.our_component = session.outbox.ids
         # One payload, which each message overlays
         self.payload = payload = np.zeros(ROOM, dtype=np.uint8)
         self.sample, self.attitude = _overlay(payload, "HIGHRES_IMU"), _overlay(payload, "ATTITUDE")
+        self.fix = _overlay(payload, "GPS_RAW_INT")
         self.place = _overlay(payload, "GLOBAL_POSITION_INT")
         self.timesync = _overlay(payload, "TIMESYNC")
         self.own = EventBuffer(1)
@@ -76,11 +80,15 @@ class PayloadReader:
 
     def put_rows(self, measurements: Measurements) -> None:
         """Write the rows of measurements that the decoder has made."""
-        if measurements:
-            self.buffer.size = self.n
-            for measurement in measurements:
-                self.buffer.append(measurement.row())
-            self.use(self.buffer)
+        for measurement in measurements:
+            t_ns, kind, values = measurement.row()
+            if self.n == self.out_t.shape[0]:
+                self.buffer.size = self.n
+                self.buffer.grow()
+                self.use(self.buffer)
+            i = self.begin_row(t_ns, kind)
+            for j in range(WIDTH):
+                self.out[i, j] = values[j]
 
     def put_vector(self, i: int, first: int, x: float, y: float, z: float) -> None:
         """Write a vector of the board into a row, in the vehicle's axes."""
@@ -166,11 +174,11 @@ class PayloadReader:
         stamp = cython.cast(cython.longlong, m.time_boot_ms) * 1000
         if self.context.is_ours or self.context.is_yaw_ours or not self.is_near(stamp):
             return False
-        if not self.position.is_settled:
+        if not self.fixes.is_settled:
             return False
         if self.session.options.guard is not None and not self.session.origin.is_shown:
             return False
-        if stamp < self.clock.main.latest_us or not is_place(1e-7 * m.lat, 1e-7 * m.lon):
+        if stamp < self.clock.main.latest_us or not is_place(m.lat, m.lon):
             return False
         self.advance(stamp, now_ns)
         t_ns = stamp * 1000
@@ -179,14 +187,17 @@ class PayloadReader:
             self.put_heading(t_ns, m.hdg * 1e-2 * DEGREE)
         if self.position.derived_pace.admit(t_ns):
             said = unpack(parsed(IDS["GLOBAL_POSITION_INT"], raw))
-            self.put_rows([self.decoder.position.derived(said, t_ns)])
+            self.put_rows([self.position.derived(said, t_ns)])
         return True
 
-    def read_fix(self, frame: Frame) -> bool:
-        """Let the decoder read a fix of the receiver, which says nothing of the clock."""
-        if self.clock.is_behind or self.session.past.is_behind(frame, self.clock):
+    def read_fix(self) -> bool:
+        """Write the fix of the receiver; its stamp says nothing of the clock."""
+        m = self.fix[0]
+        if self.clock.is_behind or 0 < m.time_usec < self.newest.get(FIX_ID, 0):
             return False
-        measurements = self.decoder.position.gps_raw_int(frame)
+        if m.time_usec != 0:
+            self.newest[FIX_ID] = m.time_usec
+        measurements = self.fixes.read_first(m)
         if self.decoder.notes:
             self.session.emit_notes()
         self.free()

@@ -223,7 +223,7 @@ class Reader(PayloadReader):
         is_second = self.data[place] == STX_2
         if kind <= READ:
             return False
-        if kind != PASSED and kind != FIX:
+        if kind != PASSED:
             begin = place + (10 if is_second else 6)
             fill(self.payload, self.data, begin, self.data[place + 1])
         if kind == INERTIAL:
@@ -235,7 +235,7 @@ class Reader(PayloadReader):
         elif kind == POSITION:
             is_read = self.read_position(self.piece[place:end], now_ns)
         elif kind == FIX:
-            is_read = self.read_fix(parsed(number, self.piece[place:end]))
+            is_read = self.read_fix()
         else:
             is_read = True
         if not is_read:

@@ -36,14 +36,18 @@ class EventBuffer:
         return self.size >= self.limit
 
     def append(self, row: Row) -> None:
-        """Append a row; full arrays are replaced by larger ones."""
+        """Append a row."""
         if self.size == len(self.t_ns):
-            room = np.empty_like(self.values)
-            self.t_ns = np.concatenate([self.t_ns, np.empty_like(self.t_ns)])
-            self.kind = np.concatenate([self.kind, np.empty_like(self.kind)])
-            self.values = np.concatenate([self.values, room])
+            self.grow()
         self.t_ns[self.size], self.kind[self.size], self.values[self.size] = row
         self.size += 1
+
+    def grow(self) -> None:
+        """Replace the arrays by larger ones."""
+        room = np.empty_like(self.values)
+        self.t_ns = np.concatenate([self.t_ns, np.empty_like(self.t_ns)])
+        self.kind = np.concatenate([self.kind, np.empty_like(self.kind)])
+        self.values = np.concatenate([self.values, room])
 
     def take(self) -> Events:
         """Return the rows, and begin empty again."""

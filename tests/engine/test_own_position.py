@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings.field import FLAGS
 from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
-from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
+from ekf_companion.nav.measurements import GNSS_FLAGS, Events, GnssFlag, Kind, merge
 from ekf_companion.nav.state import COLUMNS, GEODETIC, Status
 from tests.core.flights import between, flight, without
 from tests.engine.estimation import KNOWN, errors, run, statuses
@@ -25,7 +24,7 @@ def dead_reckoning(events: Events, speed: float) -> Events:
     values = fixes.values.copy()
     t = (fixes.t_ns - events.t_ns[0]) * 1e-9
     values[:, 0] += speed * np.clip(t - OUTAGE[0], 0.0, OUTAGE[1] - OUTAGE[0]) * METRE
-    values[:, FLAGS] = GnssFlag.DERIVED
+    values[:, GNSS_FLAGS] = GnssFlag.DERIVED
     return Events(t_ns=fixes.t_ns + 1_000_000, kind=fixes.kind, values=values)
 
 
@@ -70,7 +69,7 @@ def derived_until(events: Events, end: float, north: float = 0.0, place=None) ->
     values[:, 0] += north * METRE
     if place is not None:
         values[:, :2] = np.radians(place)
-    values[:, FLAGS] = GnssFlag.DERIVED
+    values[:, GNSS_FLAGS] = GnssFlag.DERIVED
     values[:, 6:8] = 4.0
     early = Events(t_ns=fixes.t_ns, kind=fixes.kind, values=values)
     return merge(events.take(~(is_fix(events) & between(events, 0.0, end))), early)

@@ -10,12 +10,9 @@ import numpy as np
 from ekf_companion.core.settings.settings import HeadingSettings
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.magnetic import magnetic_field
-from ekf_companion.nav.measurements import Events, Kind, Row
+from ekf_companion.nav.measurements import GNSS_DECLINATION, GNSS_FLAGS, Events, Kind, Row
 
 Axis = TypeVar("Axis", float, Array)
-
-LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11
-"""Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
 
 
 class Field:
@@ -31,15 +28,15 @@ class Field:
         t_ns, kind, values = row
         if kind == Kind.MAG and self._has_iron:
             return t_ns, kind, (*self._bare(*values[:3]), *values[3:])
-        if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):
+        if kind != Kind.GNSS or not math.isnan(values[GNSS_DECLINATION]):
             return row
-        lat, lon = values[LAT], values[LON]
+        lat, lon = values[:2]
         if not (abs(lat) < math.pi / 2 and abs(lon) <= math.pi):
             return row
         here, *field = magnetic_field(lat, lon, self._heading.year)
         if self._heading.declination != "auto":
             here = self._heading.declination
-        return t_ns, kind, (*values[:DECLINATION], here, values[FLAGS], *field)
+        return t_ns, kind, (*values[:GNSS_DECLINATION], here, values[GNSS_FLAGS], *field)
 
     def complete_all(self, events: Events) -> Array:
         """Do the same for a table of events; return a copy."""

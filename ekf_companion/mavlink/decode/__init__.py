@@ -8,7 +8,8 @@ context   what the readers share: family, clock, refusals, notes
 inertial  HIGHRES_IMU, RAW_IMU, SCALED_IMU
 aids      the aids that declare themselves: all that one needs of the wire
 air       magnetometer and barometer, whichever message carries them
-position  GPS_RAW_INT, GLOBAL_POSITION_INT
+fix       GPS_RAW_INT, GPS2_RAW (compiled)
+position  GLOBAL_POSITION_INT: the autopilot's own
 heading   the autopilot's own heading
 vehicle   armed, landed, and SYSTEM_TIME
 state     what the decoders share with the compiled reader (compiled)

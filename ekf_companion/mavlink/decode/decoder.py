@@ -7,6 +7,7 @@ from collections.abc import Callable
 from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, DecoderOptions, Family, Measurements
+from ekf_companion.mavlink.decode.fix import Fixes
 from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
 from ekf_companion.mavlink.decode.position import Position
@@ -41,7 +42,8 @@ class Decoder(DecoderState):
         self.inertial = Inertial(self.context, self.mag, self.baro, self.trim)
         self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
         self._ranked = [self.inertial, self.mag, self.baro, self.heading]
-        self.position = Position(self.context, self.heading)
+        self.fixes = Fixes(self.context)
+        self.position = Position(self.context, self.heading, self.fixes)
         self._receiver = Receiver(self.context, self.vehicle)
         self._aids = [reader(self.context) for reader in aids.READERS]
         readers: dict[str, Callable[[Frame], Measurements]] = {
@@ -51,8 +53,8 @@ class Decoder(DecoderState):
             "SCALED_IMU2": self.inertial.scaled_imu,
             "SCALED_IMU3": self.inertial.scaled_imu,
             "SCALED_PRESSURE": self.baro.scaled_pressure,
-            "GPS_RAW_INT": self.position.gps_raw_int,
-            "GPS2_RAW": self.position.gps2_raw,
+            "GPS_RAW_INT": self.fixes.gps_raw_int,
+            "GPS2_RAW": self.fixes.gps2_raw,
             "GLOBAL_POSITION_INT": self.position.global_position_int,
             "ATTITUDE": self.heading.attitude,
             "VFR_HUD": self.heading.vfr_hud,
@@ -67,7 +69,7 @@ class Decoder(DecoderState):
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (*self._ranked, self.position, self.trim, *self._aids):
+        for reader in (*self._ranked, self.fixes, self.position, self.trim, *self._aids):
             reader.forget()
         if step is Step.BEGUN:
             self.vehicle.forget()

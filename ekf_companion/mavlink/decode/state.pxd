@@ -16,9 +16,6 @@ cdef class PressureState(Ranked):
     cdef public double last
 cdef class HeadingState(Ranked):
     cdef public Pace pace
-cdef class PositionState:
-    cdef public Pace derived_pace
-    cdef public bint is_settled
 cdef class ContextState:
     cdef public TimeBase clock
     cdef public bint is_submarine, is_ours, is_yaw_ours

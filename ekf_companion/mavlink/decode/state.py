@@ -26,10 +26,6 @@ class HeadingState(Ranked):
     """Record of the autopilot's heading."""
 
 
-class PositionState:
-    """Record of the autopilot's own position."""
-
-
 class ContextState:
     """Record of what all readers share."""
 
