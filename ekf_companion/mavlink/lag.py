@@ -35,6 +35,8 @@ class Lag:
         """What it took there and back."""
         self.slowed_ns = 0
         """By how much it was slowed on the way there, at most."""
+        self.queue_ns = 0
+        """How long of that it waited in the line, at most: what our loop explains is none."""
         self.loop_ns = 0
         """How long our own loop has stalled of late, at most; whoever runs it sets that."""
         self._recent: deque[tuple[int, int]] = deque()
@@ -60,14 +62,10 @@ class Lag:
         self.answered_ns, self.last_ns, self.fastest_ns = now_ns, rtt, fastest
         # A clock that runs slower, or has jumped, shows in the one and not in the other
         self.slowed_ns = min(rtt - fastest, there - earliest)
+        self.queue_ns = max(self.slowed_ns - self.loop_ns, 0)
         self._recent.append((now_ns, rtt))
         while now_ns - self._recent[0][0] > _WINDOW_NS:
             self._recent.popleft()
-
-    @property
-    def queue_ns(self) -> int:
-        """How long the last request waited in the line, at most: what our loop explains is none."""
-        return max(self.slowed_ns - self.loop_ns, 0)
 
     def is_loop(self, seconds: float) -> bool:
         """Return whether a delay, s, is rather that of our own loop than of the line."""
