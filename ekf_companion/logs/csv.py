@@ -195,17 +195,15 @@ class _Clock:
     def notes(self) -> Iterator[str]:
         """Return notes on rows that were dropped."""
         why = "without a time, or with one that does not fit the rest"
-        zeros = timed = 0
-        for _, t_ns in self._stamps() if self.lost else ():
-            is_kept = series.in_ranges(self._ranges, timed, len(t_ns))
-            zeros, timed = zeros + int(((t_ns == 0) & ~is_kept).sum()), timed + len(t_ns)
+        parts = (t_ns for _, t_ns in self._stamps()) if self.lost else ()
+        zeros = series.zeros_off(parts, self._holds)
         yield from misfits(self.lost, len(self._rows), why, zeros)
 
     def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
         """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""
         first = timed = 0
         for is_time, t_ns in self._stamps():
-            is_kept = series.in_ranges(self._ranges, timed, len(t_ns))
+            is_kept = self._holds(timed, t_ns)
             place = np.flatnonzero(is_time)[is_kept]
             if len(place):
                 rows = self._rows.read(first, len(is_time))
@@ -213,6 +211,10 @@ class _Clock:
                     rows = rows[place]
                 yield first + place, t_ns[is_kept], rows
             first, timed = first + len(is_time), timed + len(t_ns)
+
+    def _holds(self, first: int, t_ns: Stamps) -> Mask:
+        """Return which timed rows of a part are on the run, by the number of the first."""
+        return series.in_ranges(self._ranges, first, len(t_ns))
 
     def _stamps(self) -> Iterator[tuple[Mask, Stamps]]:
         """Yield, part by part, which rows have a time, and the times, ns, of those that do."""

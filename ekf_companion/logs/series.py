@@ -265,7 +265,7 @@ def left_out(
     )
     lost, zeros = whole - used - outside, 0
     for name in rows if lost else ():
-        zeros += _zeros(runs[name], stamps(name)) if name in runs else 0
+        zeros += zeros_off(stamps(name), runs[name].holds) if name in runs else 0
     words = "whose time stamps do not fit the log's clock"
     found = misfits(lost, whole, words, min(zeros, lost))
     if outside:
@@ -273,11 +273,16 @@ def left_out(
     return found
 
 
-def _zeros(run: CommonRun, parts: Iterable[Stamps]) -> int:
-    """Return how many rows of a table are stamped 0 and off the run."""
+def zeros_off(parts: Iterable[Stamps], holds: Callable[[int, Stamps], Mask]) -> int:
+    """Return how many rows are stamped 0 and off the run.
+
+    Args:
+        parts: Their stamps, part by part.
+        holds: Returns which rows of a part are on the run, by the number of the first.
+    """
     first = found = 0
     for t_ns in parts:
-        found += int(((t_ns == 0) & ~run.holds(first, t_ns)).sum())
+        found += int(((t_ns == 0) & ~holds(first, t_ns)).sum())
         first += len(t_ns)
     return found
 
