@@ -3,10 +3,8 @@ PYTHON ?= python3
 SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
-KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*/*.py ekf_companion/core/*.pxd ekf_companion/core/*/*.pxd) \
-	$(wildcard ekf_companion/logs/*.pxd ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd ekf_companion/nav/*.pxd) \
-	$(patsubst %.pxd,%.py,$(wildcard ekf_companion/logs/*.pxd ekf_companion/mavlink/*.pxd \
-	ekf_companion/mavlink/decode/*.pxd ekf_companion/nav/*.pxd))
+KERNEL := setup.py ekf_companion/core/memory/overlay.pxd \
+	$(wildcard $(patsubst %,ekf_companion/%/*.py,core core/* logs mavlink mavlink/decode nav))
 STAMP := $(VENV)/.built
 FLYING := $(VENV)/.built-demo
 

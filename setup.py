@@ -27,12 +27,8 @@ from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 THIS = Path(__file__).name
-READERS = ("logs", "mavlink", "mavlink/decode", "nav")
-"""Other rooms with modules that are compiled."""
 DECLARED = ("constants", "enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
-BY_HAND = {"order.stamps", "order.timeline", "output.follower", "output.jump", "rts"}
-"""Modules with classes, or functions of Python's tuples: their ``.pxd`` is not made here."""
 PAGE = ROOT / "ekf_companion" / "status" / "page"
 CHARTS = "uplot@1.6.32"
 """The charting library of the page (MIT licence), a package of npm."""
@@ -45,34 +41,30 @@ CHARTS_FILES = {
 """What is taken of it, and its names beside the page."""
 
 
-def declare() -> list[str]:
-    """Write what is made: the dispatch and .pxd files; return the modules that are compiled."""
+def declare() -> dict[str, Path]:
+    """Write what is made: the dispatch and .pxd files; return what is compiled, by name."""
     sys.path.insert(0, str(ROOT))
     from ekf_companion.core.memory import aid, dispatch
     from ekf_companion.core.memory.declare import pxd
-    from ekf_companion.core.memory.signatures import kernel_modules, signatures
+    from ekf_companion.core.memory.signatures import compiled_modules, path_of, signatures
+    from ekf_companion.mavlink import record
 
     if aid.DECLARED:
-        write(source_of("core.order.dispatch"), dispatch.source())
-    kernel = kernel_modules()
+        write(path_of("core.order.dispatch"), dispatch.source())
+    write(path_of("mavlink.record").with_suffix(".pxd"), record.pxd())
     for name in DECLARED:
         module = importlib.import_module(f"ekf_companion.core.memory.{name}")
-        write(source_of(f"core.memory.{name}").with_suffix(".pxd"), pxd(module))
-    for name in set(kernel) - BY_HAND:
-        path = source_of(f"core.{name}")
+        write(path_of(f"core.memory.{name}").with_suffix(".pxd"), pxd(module))
+    compiled = {name: path_of(name) for name in compiled_modules()}
+    for name, path in compiled.items():
         write(path.with_suffix(".pxd"), signatures(name, path.read_text(encoding="utf-8")))
-    return kernel
+    return compiled
 
 
 def write(path: Path, text: str) -> None:
     """Write a file that is made, unless it is so already."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
-
-
-def source_of(module: str) -> Path:
-    """Return the file of a module of the package."""
-    return ROOT / "ekf_companion" / f"{module.replace('.', '/')}.py"
 
 
 def find_npm() -> list[str] | None:
@@ -153,17 +145,13 @@ def date_headers() -> None:
             os.utime(path, (0, 0))
 
 
-kernel = declare()
+modules = declare()
 date_headers()
 is_inplace = "--inplace" in sys.argv  # by hand or by make, which fetches no charts
 needs_npm = (
     not is_inplace and shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
 )
-modules = [f"core.{name}" for name in kernel]
-for room in READERS:
-    found = (ROOT / "ekf_companion" / room).glob("*.pxd")
-    modules += sorted(f"{room.replace('/', '.')}.{path.stem}" for path in found)
-sources = [str(source_of(name).relative_to(ROOT)) for name in modules]
+sources = [str(path.relative_to(ROOT)) for path in modules.values()]
 is_older = [
     path.stat().st_mtime < (ROOT / THIS).stat().st_mtime
     for path in (ROOT / Path(source).with_suffix(".c") for source in sources)

@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 
-from ekf_companion.core.memory.signatures import CORE, kernel_modules
+from ekf_companion.core.memory.signatures import compiled_modules
 from tests.daemon.waiting import LIMIT
 from tests.paths import ROOT
 
@@ -26,10 +26,8 @@ def checkout(tmp_path):
     for folder in ("ekf_companion", "sim_autopilot", "systemd"):
         others = shutil.ignore_patterns("*.so", "*.c", "*.pxd", "__pycache__")
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=others)
-    for name in kernel_modules():
-        (tmp_path / CORE.relative_to(ROOT) / f"{name.replace('.', '/')}.py").unlink()
-    for name in COMPILED:
-        shutil.copy(ROOT / f"ekf_companion/{name}.pxd", tmp_path / f"ekf_companion/{name}.pxd")
+    for name in {one.replace(".", "/") for one in compiled_modules()} - {*COMPILED}:
+        (tmp_path / f"ekf_companion/{name}.py").unlink()
     for name in ("uPlot.js", "uPlot.css", "uPlot.LICENSE.txt"):
         (tmp_path / "ekf_companion/status/page" / name).touch()
     return tmp_path

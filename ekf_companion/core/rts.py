@@ -31,7 +31,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import (
-    Vector,
+    Numbers,
+    Square,
     as_estimate,
     as_events,
     as_parameters,
@@ -53,6 +54,8 @@ from cython.cimports.ekf_companion.core.order import step
 from cython.cimports.ekf_companion.core.output.estimate import write_estimate
 from cython.cimports.libc.math import sqrt
 
+from ekf_companion.nav.arrays import Table
+
 KNOWN = cython.declare(cython.double, 1e-12)
 """A state of whose variance the others leave no more than this share is known by them."""
 
@@ -68,7 +71,7 @@ class Smoother:
         """
         if not cython.compiled:
             self.w, self.h = Scratch(), Hindsight()
-        self.numbers = np.ascontiguousarray(parameters, dtype=np.float64).copy()
+        self.numbers: Numbers = np.ascontiguousarray(parameters, dtype=np.float64).copy()
         self.blocks = np.zeros((3, BLOCK))
         self.tape = np.zeros((0, RECORD))
         self.k = as_parameters(self.numbers)
@@ -88,7 +91,7 @@ class Smoother:
         """
         copy_state(self.x, as_state(block))
         self.w.tape.is_on = 0
-        self.forward(rows)
+        self._forward(rows)
         return np.array(self.blocks[0])
 
     def smooth(self, block: np.ndarray, rows: np.ndarray, later: np.ndarray | None) -> np.ndarray:
@@ -116,11 +119,11 @@ class Smoother:
         self.w.tape.length = 0
         copy_state(self.x, as_state(block))
         tape.record_sample(self.x, address(self.w))
-        self.forward(rows)
+        self._forward(rows)
         copy_state(self.y, self.x)
         if later is not None:
             copy_state(self.y, as_state(later))
-        self.back(blocks)
+        self._back(blocks)
         return blocks
 
     def describe(self, blocks: np.ndarray) -> np.ndarray:
@@ -132,7 +135,7 @@ class Smoother:
             )
         return out
 
-    def forward(self, table: np.ndarray) -> None:
+    def _forward(self, table: Table[np.float64]) -> None:
         """Step through the rows; the tape, if it is on, gets a record at the end of each sample."""
         rows = as_events(table)
         first = 0
@@ -143,7 +146,7 @@ class Smoother:
                 if self.w.tape.is_on:
                     tape.record_sample(self.x, address(self.w))
 
-    def back(self, table: np.ndarray) -> None:
+    def _back(self, table: Table[np.float64]) -> None:
         """Go back over the tape from the smoothed state y."""
         blocks = as_states(table)
         o = address(self.w.observation)
@@ -175,7 +178,7 @@ def keep_accounts(x: State, y: State, o: Observation, h: Hindsight) -> None:
     inject(y, o)
 
 
-def copy_covariance(source: Vector, to: Vector) -> None:
+def copy_covariance(source: Square, to: Square) -> None:
     """Copy a matrix of shape (N, N)."""
     for i in range(N):
         for j in range(N):
@@ -238,7 +241,7 @@ def multiply_redrawn(x: State, after: State, h: Hindsight) -> None:
             h.prior[i][i] = 1.0
 
 
-def factor(a: Vector) -> None:
+def factor(a: Square) -> None:
     """Replace the upper triangle of a covariance by U with U' U = it.
 
     A state that is known, or known by those before it, gets a row of zeros: it is left out.
@@ -259,7 +262,7 @@ def factor(a: Vector) -> None:
                 a[m][j] -= s * a[i][j]
 
 
-def solve(root: Vector, g: Vector) -> None:
+def solve(root: Square, g: Square) -> None:
     """Solve U' U X = g in place; what :func:`factor` left out stays zero."""
     for i in range(N):
         s = 1.0 / root[i][i] if root[i][i] > 0.0 else 0.0

@@ -8,6 +8,8 @@ import cython
 from cython import address, cast
 from cython.cimports.libc.string import memchr, memcpy
 
+from ekf_companion.nav.arrays import Bytes
+
 PLACES = 3
 """Numbers that are kept from one call to the next: where to go on in each text."""
 COMMA = cython.declare(cython.int, 0x2C)
@@ -17,7 +19,7 @@ NULL = cython.declare(cython.int, 0x6E)
 
 
 def join_lines(
-    numbers: bytes, stamps: bytes, end: bytes, count: int, out: bytearray, places: array[int]
+    numbers: Bytes, stamps: Bytes, end: Bytes, count: int, out: bytearray, places: array[int]
 ) -> None:
     """Write lines that begin with a stamp each and have the same end.
 
@@ -52,14 +54,14 @@ def join_lines(
             n += length
         else:
             stop = start + length
-            n = copy_known(numbers, start, stop, out, n)
+            n = _copy_known(numbers, start, stop, out, n)
         start += length + 2
         memcpy(address(out[n]), address(end[0]), tail)
         n += tail
     places[0], places[1], places[2] = start, at, n
 
 
-def copy_known(numbers: bytes, start: int, stop: int, out: bytearray, n: int) -> int:
+def _copy_known(numbers: Bytes, start: int, stop: int, out: bytearray, n: int) -> int:
     """Copy cells without their ``null``; return where the next byte goes."""
     while start < stop:
         if numbers[start] == NULL:

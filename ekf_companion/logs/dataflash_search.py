@@ -6,21 +6,20 @@ from array import array
 
 import cython
 import numpy as np
-import numpy.typing as npt
 
-from ekf_companion.nav.arrays import Stamps
+from ekf_companion.nav.arrays import Bytes, Column, Table
 
 FORMAT = cython.declare(cython.int, 0x80)
 """The type of the records that declare others."""
 
 
 def find_records(
-    data: memoryview,
+    data: Bytes,
     place: int,
-    sizes: npt.NDArray[np.int32],
-    counts: npt.NDArray[np.int64],
+    sizes: Table[np.int32],
+    counts: Column[np.int64],
     state: array[int],
-    found: Stamps,
+    found: Table[np.int64],
     n: int,
 ) -> tuple[int, int]:
     """Find records up to the next that declares a type, as :mod:`.dataflash_records` finds them.
@@ -66,13 +65,13 @@ def find_records(
                 n -= 1
             place = last + 2
         state[0] = -1
-        place = resume(data, place + 1, sizes)
+        place = _resume(data, place + 1, sizes)
         if place < end:
             state[1] += 1
     return n, end
 
 
-def resume(data: memoryview, place: int, sizes: npt.NDArray[np.int32]) -> int:
+def _resume(data: Bytes, place: int, sizes: Table[np.int32]) -> int:
     """Return the next place where a record of known type begins and another at its end."""
     end = len(data)
     while place + 3 <= end:
@@ -81,7 +80,7 @@ def resume(data: memoryview, place: int, sizes: npt.NDArray[np.int32]) -> int:
             after = place + size
             if size > 0 and after == end:
                 return place
-            is_followed = size > 0 and after + 3 <= end and sizes[data[after + 2], 0] > 0
+            is_followed: bool = size > 0 and after + 3 <= end and sizes[data[after + 2], 0] > 0
             if is_followed and data[after] == 0xA3 and data[after + 1] == 0x95:
                 return place
         place += 1

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import cython
+import numpy as np
 from cython.cimports.libc.string import memcpy
 
-from ekf_companion.nav.arrays import Stamps
+from ekf_companion.nav.arrays import Column, Const
 
 COMMA = cython.declare(cython.int, 0x2C)
 CLOSED = cython.declare(cython.int, 0x5D)
@@ -20,9 +21,9 @@ def write_messages(
     names: list[bytes],
     ends: list[bytes],
     channel: int,
-    stamp_ns: Stamps,
+    stamp_ns: Const[Column[np.int64]],
     out: bytearray,
-    behind: Stamps,
+    behind: Column[np.int64],
 ) -> None:
     """Write an MCAP message for each row: text and numbers in turn, then the row's end.
 
@@ -35,9 +36,12 @@ def write_messages(
         out: Receives the messages, with room for the bytes of all arguments, and the heads.
         behind: Receives the end of each message in ``out``, shape (n,).
     """
-    text, line = cython.cast(cython.p_char, numbers), cython.cast(cython.p_char, out)
+    text: cython.p_char = cython.cast(cython.p_char, numbers)
+    line: cython.p_char = cython.cast(cython.p_char, cython.address(out[0]))
+    piece: bytes
+    row: int
     place = 1
-    n = 0
+    n: int = 0
     for row, end in enumerate(ends):
         start = n
         n += HEAD
@@ -58,15 +62,15 @@ def write_messages(
         n += size
         place += 2
         line[start] = MESSAGE
-        put_number(line + start + 1, n - start - 9)
+        _put_number(line + start + 1, n - start - 9)
         # Its channel, and a count of the messages that is not kept
-        put_number(line + start + 9, channel)
-        put_number(line + start + 15, stamp_ns[row])
-        put_number(line + start + 23, stamp_ns[row])
+        _put_number(line + start + 9, channel)
+        _put_number(line + start + 15, stamp_ns[row])
+        _put_number(line + start + 23, stamp_ns[row])
         behind[row] = n
 
 
-def put_number(line: bytearray, number: int) -> None:
+def _put_number(line: cython.p_char, number: int) -> None:
     """Write the eight bytes of a number, the lowest first."""
     for i in range(8):
         line[i] = number >> 8 * i & 0xFF

@@ -17,7 +17,7 @@ import cython
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.nav.arrays import Stamps
+from ekf_companion.nav.arrays import Bytes, Column, Table
 
 Words = npt.NDArray[np.uint16]
 
@@ -55,9 +55,9 @@ def zero_moves() -> Words:
     return moves
 
 
-def checksum_all(data: memoryview, steps: Words, sums: Words) -> None:
+def checksum_all(data: Bytes, steps: Column[np.uint16], sums: Column[np.uint16]) -> None:
     """Write the register after each number of bytes, starting from zero, shape (n + 1,)."""
-    value = 0
+    value: cython.uint = 0
     sums[0] = 0
     for i in range(len(data)):
         value = (value >> 8) ^ steps[(value ^ data[i]) & 0xFF]
@@ -65,13 +65,13 @@ def checksum_all(data: memoryview, steps: Words, sums: Words) -> None:
 
 
 def find_records(
-    data: memoryview,
-    sums: Words,
-    steps: Words,
-    moves: Words,
-    extras: npt.NDArray[np.int16],
+    data: Bytes,
+    sums: Column[np.uint16],
+    steps: Column[np.uint16],
+    moves: Table[np.uint16],
+    extras: Column[np.int16],
     state: array[int],
-    records: Stamps,
+    records: Table[np.int64],
     is_end: bool,
 ) -> tuple[int, int]:
     """Find the records, as defined in :mod:`.tlog`, in a block of data.
@@ -94,19 +94,19 @@ def find_records(
     reach = 16 if is_end else LOOK_AHEAD  # the shortest frame has 8 bytes
     while start + reach <= end:
         place = start + 8
-        after = place + frame_size(data, place, end)
-        stamp = stamp_at(data, start)
+        after = place + _frame_size(data, place, end)
+        stamp: cython.ulonglong = _stamp_at(data, start)
         if after == place or after > end:
             good = False
-        elif seed(data, place, extras) >= 0:
-            good = is_whole(data, place, sums, steps, moves, extras)
-            good = good and is_plausible(data, after, end, stamp, state)
+        elif _seed(data, place, extras) >= 0:
+            good = _is_whole(data, place, sums, steps, moves, extras)
+            good = good and _is_plausible(data, after, end, stamp, state)
         else:
             # No checksum can be tested: damage must not swallow the records after it
-            good = not state[0] and continues(data, after, end, stamp)
+            good = not state[0] and _continues(data, after, end, stamp)
             inside = place + 1
             while good and inside < after + 8 and inside + 8 <= end:
-                good = not may_resume(data, inside, end, sums, steps, moves, extras, state)
+                good = not _may_resume(data, inside, end, sums, steps, moves, extras, state)
                 inside += 1
         if good:
             state[1] = stamp & 0x7FFF_FFFF_FFFF_FFFF
@@ -114,7 +114,7 @@ def find_records(
             records[n, 0] = state[1]
             records[n, 1] = place
             records[n, 2] = after - place
-            records[n, 3] = message_id(data, place)
+            records[n, 3] = _message_id(data, place)
             n += 1
             start = after
         else:
@@ -124,7 +124,7 @@ def find_records(
     return n, start
 
 
-def frame_size(data: memoryview, place: int, end: int) -> int:
+def _frame_size(data: Bytes, place: int, end: int) -> int:
     """Return the size of a frame that begins here, even beyond the data; 0: none begins."""
     if data[place] == 0xFE:
         return 8 + data[place + 1]
@@ -133,85 +133,87 @@ def frame_size(data: memoryview, place: int, end: int) -> int:
     return 0
 
 
-def message_id(data: memoryview, place: int) -> int:
+def _message_id(data: Bytes, place: int) -> int:
     """Return the message id of a frame."""
     if data[place] == 0xFE:
         return data[place + 5]
     return data[place + 7] | data[place + 8] << 8 | data[place + 9] << 16
 
 
-def seed(data: memoryview, place: int, extras: npt.NDArray[np.int16]) -> int:
+def _seed(data: Bytes, place: int, extras: Column[np.int16]) -> int:
     """Return the seed of a frame's checksum; -1: unknown id."""
-    number = message_id(data, place)
+    number = _message_id(data, place)
     return extras[number] if number < len(extras) else -1
 
 
-def stamp_at(data: memoryview, start: int) -> int:
+def _stamp_at(data: Bytes, start: int) -> cython.ulonglong:
     """Return a recorder's stamp, us."""
-    stamp = 0
+    stamp: cython.ulonglong = 0
     for i in range(8):
         stamp = stamp << 8 | data[start + i]
     return stamp
 
 
-def is_whole(
-    data: memoryview,
+def _is_whole(
+    data: Bytes,
     place: int,
-    sums: Words,
-    steps: Words,
-    moves: Words,
-    extras: npt.NDArray[np.int16],
+    sums: Column[np.uint16],
+    steps: Column[np.uint16],
+    moves: Table[np.uint16],
+    extras: Column[np.int16],
 ) -> bool:
     """Return whether the checksum of a frame of known id is right."""
     tail = place + data[place + 1] + (6 if data[place] == 0xFE else 10)
     count = tail - place - 1
-    begun = sums[place + 1] ^ 0xFFFF
-    value = sums[tail] ^ moves[count, begun & 0xFF] ^ moves[count, 256 + (begun >> 8)]
-    value = (value >> 8) ^ steps[(value ^ seed(data, place, extras)) & 0xFF]
+    begun: cython.uint = sums[place + 1] ^ 0xFFFF
+    value: cython.uint = sums[tail] ^ moves[count, begun & 0xFF] ^ moves[count, 256 + (begun >> 8)]
+    value = (value >> 8) ^ steps[(value ^ _seed(data, place, extras)) & 0xFF]
     return value == data[tail] | data[tail + 1] << 8
 
 
-def is_near(stamp: int, other: int) -> bool:
+def _is_near(stamp: cython.ulonglong, other: cython.ulonglong) -> bool:
     """Return whether two stamps are plausible in one recording."""
     return (stamp - other if stamp > other else other - stamp) < PLAUSIBLE_US
 
 
-def continues(data: memoryview, start: int, end: int, stamp: int) -> bool:
+def _continues(data: Bytes, start: int, end: int, stamp: cython.ulonglong) -> bool:
     """Return whether a record with a stamp near this one begins here, or the file ends."""
     if start == end:
         return True
     if start + 16 > end or data[start + 8] < 0xFD or data[start + 8] > 0xFE:
         return False
-    return is_near(stamp_at(data, start), stamp)
+    return _is_near(_stamp_at(data, start), stamp)
 
 
-def is_plausible(data: memoryview, after: int, end: int, stamp: int, state: array[int]) -> bool:
+def _is_plausible(
+    data: Bytes, after: int, end: int, stamp: cython.ulonglong, state: array[int]
+) -> bool:
     """Return whether a stamp is near the last one, or the record after it is near the stamp."""
-    if not state[2] or is_near(stamp, state[1]):
+    if not state[2] or _is_near(stamp, state[1]):
         return True
-    return continues(data, after, end, stamp)
+    return _continues(data, after, end, stamp)
 
 
-def may_resume(
-    data: memoryview,
+def _may_resume(
+    data: Bytes,
     place: int,
     end: int,
-    sums: Words,
-    steps: Words,
-    moves: Words,
-    extras: npt.NDArray[np.int16],
+    sums: Column[np.uint16],
+    steps: Column[np.uint16],
+    moves: Table[np.uint16],
+    extras: Column[np.int16],
     state: array[int],
 ) -> bool:
     """Return whether a frame of known id, right checksum and plausible stamp begins here.
 
     Its signature may lie beyond the data.
     """
-    size = frame_size(data, place, end)
-    if size == 0 or seed(data, place, extras) < 0:
+    size = _frame_size(data, place, end)
+    if size == 0 or _seed(data, place, extras) < 0:
         return False
     signature = 13 * (data[place + 2] & 1) if data[place] == 0xFD else 0
     if place + size - signature > end:
         return False
-    if not is_whole(data, place, sums, steps, moves, extras):
+    if not _is_whole(data, place, sums, steps, moves, extras):
         return False
-    return is_plausible(data, place + size, end, stamp_at(data, place - 8), state)
+    return _is_plausible(data, place + size, end, _stamp_at(data, place - 8), state)

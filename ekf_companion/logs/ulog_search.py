@@ -14,9 +14,8 @@ from array import array
 
 import cython
 import numpy as np
-import numpy.typing as npt
 
-from ekf_companion.nav.arrays import Stamps
+from ekf_companion.nav.arrays import Bytes, Table
 
 LARGEST = cython.declare(cython.int, 10_000)
 """Bytes of a message of unknown kind, beyond which it is damage."""
@@ -35,7 +34,7 @@ SYNC = cython.declare(cython.int, 83)
 """The kinds: the letters F B P Q I M A L C D O S."""
 
 
-def find_definition(data: memoryview, place: int, state: array[int]) -> tuple[int, int]:
+def find_definition(data: Bytes, place: int, state: array[int]) -> tuple[int, int]:
     """Find the next message that defines something: a format, a parameter, flags, a subscription.
 
     Args:
@@ -50,7 +49,7 @@ def find_definition(data: memoryview, place: int, state: array[int]) -> tuple[in
     """
     end = len(data)
     while place + 3 <= end:
-        size, kind = size_of(data, place), data[place + 2]
+        size, kind = _size_of(data, place), data[place + 2]
         is_first_of_data = kind in (SUBSCRIPTION, TEXT, TEXT_TAGGED)
         if is_first_of_data or kind in (FORMAT, FLAGS, PARAMETER, INFORMATION):
             if place + 3 + size > end:
@@ -66,12 +65,12 @@ def find_definition(data: memoryview, place: int, state: array[int]) -> tuple[in
 
 
 def find_data(
-    data: memoryview,
+    data: Bytes,
     place: int,
     end: int,
-    sizes: npt.NDArray[np.int32],
+    sizes: Table[np.int32],
     state: array[int],
-    found: Stamps,
+    found: Table[np.int64],
 ) -> tuple[int, int, int]:
     """Find messages with data.
 
@@ -92,9 +91,9 @@ def find_data(
     """
     n = 0
     while place + 3 <= end:
-        size, kind = size_of(data, place), data[place + 2]
+        size, kind = _size_of(data, place), data[place + 2]
         after = place + 3 + size
-        is_known = is_passed(kind) or kind == SUBSCRIPTION
+        is_known: bool = _is_passed(kind) or kind == SUBSCRIPTION
         if after > end and (is_known or 0 < size <= LARGEST):
             break
         if kind == DATA and size >= 2:
@@ -127,11 +126,11 @@ def find_data(
                 state[1] = 1
                 after = place + 1
                 if not state[0]:
-                    synced = find_sync(data, after, end)
+                    synced = _find_sync(data, after, end)
                     state[0] = synced < 0
                     after = synced if synced >= 0 else after
             elif not state[0]:
-                synced = find_sync(data, place + 3, after)
+                synced = _find_sync(data, place + 3, after)
                 if synced >= 0:
                     state[1] = 1
                     after = synced
@@ -139,12 +138,12 @@ def find_data(
     return n, 0, place
 
 
-def size_of(data: memoryview, place: int) -> int:
+def _size_of(data: Bytes, place: int) -> int:
     """Return the size that a message's header states."""
     return data[place] | data[place + 1] << 8
 
 
-def is_passed(kind: int) -> bool:
+def _is_passed(kind: int) -> bool:
     """Return whether messages of a kind are known, and of no use here."""
     if kind in (INFORMATION, INFORMATION_MULTIPLE):
         return True
@@ -155,13 +154,15 @@ def is_passed(kind: int) -> bool:
     return kind in (DATA, DROPOUT, SYNC)
 
 
-def find_sync(data: memoryview, place: int, end: int) -> int:
+def _find_sync(data: Bytes, place: int, end: int) -> int:
     """Return where the next synchronisation bytes (2F 73 13 20 25 0C BB 12) end; -1: nowhere."""
     while place + 8 <= end:
-        first = data[place] << 24 | data[place + 1] << 16 | data[place + 2] << 8 | data[place + 3]
+        first: cython.uint = (
+            data[place] << 24 | data[place + 1] << 16 | data[place + 2] << 8 | data[place + 3]
+        )
         if first == 0x2F731320:
             place += 4
-            last = data[place] << 24 | data[place + 1] << 16
+            last: cython.uint = data[place] << 24 | data[place + 1] << 16
             last |= data[place + 2] << 8 | data[place + 3]
             if last == 0x250CBB12:
                 return place + 4

@@ -25,7 +25,7 @@ guard      which parameters decide
 delivery   how late ODOMETRY arrives (lag: round trips; pacing: how many the line takes)
 second_source  others who send the autopilot poses
 
-Modules with a .pxd beside them are compiled; the same files run as plain Python.
+Some modules are compiled (core.memory.signatures names them); the same files run as plain Python.
 """
 
 from ekf_companion.errors import is_compiled

@@ -55,7 +55,7 @@ _MEMORY = 0.12
 """Without memory the mean square of the change of lateness, over one step or two, is twice the
 variance. It may differ by this share: three sigma of the mean over some forty blocks."""
 _HYSTERESIS = 1.2
-_EARLY = cython.declare(cython.double, 0.1)
+_EARLY = 0.1
 """Cycles; a stamp may be so much before the line, which is then brought down to it."""
 _CUT = 1.2
 """Resolutions; a lateness within it comes from the truncation alone."""
@@ -65,7 +65,7 @@ _SLIP = 0.2
 """Cycles; a line that moves more within a block follows a loop that overran."""
 _FORGETTING = 0.05
 """Weight of the newest block in the statistics of the lateness."""
-_LONGEST = cython.declare(cython.longlong, 2_000_000_000)
+_LONGEST = 2_000_000_000
 """ns; after such a gap everything is estimated anew."""
 
 
@@ -74,8 +74,10 @@ class Dejitter:
 
     def __init__(self, resolution_us: int = 1) -> None:
         """Begin with nothing known, for stamps that are truncated to a resolution."""
-        self._half = resolution_us * 500 if resolution_us > 1 else 0
-        self._last = self._out = -1
+        self._half: int = resolution_us * 500 if resolution_us > 1 else 0
+        self.last = -1
+        """Stamp of the last sample, ns."""
+        self._out = -1
         self._grid = 0
         self._learn_anew()
 
@@ -92,7 +94,7 @@ class Dejitter:
 
     def _begin_block(self) -> None:
         self._lates: list[float] = []  # by the line as it was at the block's begin
-        self._least = math.inf
+        self._least: float = math.inf
         self._moved = 0.0
         self._cycles = 0
         self._left = LINE
@@ -103,11 +105,11 @@ class Dejitter:
         While stamps are being corrected, one that is not later than the one before is out of order.
         """
         now = stamp_us * 1000
-        if now <= self._last:
+        if now <= self.last:
             return None if self.is_active else now
-        if now - self._last > _LONGEST:
+        if now - self.last > _LONGEST:
             self._learn_anew()
-        self._last = now
+        self.last = now
         if self.period == 0.0:
             self._learn(now)
             self._out = now
@@ -117,7 +119,7 @@ class Dejitter:
         ahead = now - self._grid
         cycles = cython.cast(cython.longlong, ahead * self._per_cycle + _EARLY)
         if cycles < 1:
-            late = math.inf  # no cycle of its own
+            late: float = math.inf  # no cycle of its own
         else:
             self._cycles += cycles
             late = ahead - cycles * self.period
@@ -157,7 +159,8 @@ class Dejitter:
             self._take_period(sum(usual) / len(usual), now, False)
 
     def _take_period(self, period: float, now: int, is_loop: bool) -> None:
-        self.period, self._per_cycle = period, 1.0 / period
+        self.period = period
+        self._per_cycle: float = 1.0 / period
         self._is_loop = is_loop
         self._grid = now
         self._most = 0.0

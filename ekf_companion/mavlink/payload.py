@@ -12,37 +12,70 @@ import math
 import cython
 import numpy as np
 import numpy.typing as npt
-from cython.cimports.ekf_companion.mavlink.decode.fix import is_place
+from cython.cimports.ekf_companion.mavlink.decode.fix import Fixes, is_place
 from cython.cimports.libc.math import isfinite, sqrt
 
+from ekf_companion.mavlink import record
 from ekf_companion.mavlink.clock import FOREIGN
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
-from ekf_companion.mavlink.decode.context import Measurements
-from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
-from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, OUT_OF_ORDER, PRESSURE
+from ekf_companion.mavlink.decode.context import Context, Measurements
+from ekf_companion.mavlink.decode.decoder import Decoder
+from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
+from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, OUT_OF_ORDER, PRESSURE, Inertial
+from ekf_companion.mavlink.decode.state import FieldState, PressureState
+from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import parsed
 from ekf_companion.mavlink.messages import IDS, by_name
 from ekf_companion.mavlink.past_frames import SLACK_US
 from ekf_companion.mavlink.session import Session
-from ekf_companion.mavlink.timebase import LAST_US, NEAR_US, SURE_US, UNIX_FROM_US
+from ekf_companion.mavlink.stamp import Stamp
+from ekf_companion.mavlink.timebase import LAST_US, NEAR_US, SURE_US, UNIX_FROM_US, TimeBase
+from ekf_companion.nav.arrays import Column, Table
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import WIDTH, HeadingSource, Kind, Row
 
-# Numbers here, and those that are imported, are typed in the .pxd
 FIX_ID = IDS["GPS_RAW_INT"]
-ROOM = 64
+_ROOM = 64
 """Bytes of the longest payload that is read here."""
-BOOT_US = (1 << 31) * 1000
+_BOOT_US = (1 << 31) * 1000
 """Times since boot beyond are left to the decoder: they wrap."""
-DEGREE = math.pi / 180.0
-OF_AUTOPILOT = float(HeadingSource.AUTOPILOT)
-IMU_ROW, MAG_ROW, BARO_ROW, HEADING_ROW = Kind.IMU, Kind.MAG, Kind.BARO, Kind.HEADING
+_DEGREE = math.pi / 180.0
+OF_AUTOPILOT = cython.declare(cython.double, HeadingSource.AUTOPILOT)
+IMU_ROW = cython.declare(cython.longlong, Kind.IMU)
+MAG_ROW = cython.declare(cython.longlong, Kind.MAG)
+BARO_ROW = cython.declare(cython.longlong, Kind.BARO)
+HEADING_ROW = cython.declare(cython.longlong, Kind.HEADING)
 
 
 class PayloadReader:
     """Reads payloads for one session, and writes rows into the arrays of a buffer."""
+
+    newest: dict[int, int]
+    decoder: Decoder
+    context: Context
+    trim: Trim
+    imu: Inertial
+    mag: FieldState
+    baro: PressureState
+    heading: Heading
+    fixes: Fixes
+    clock: TimeBase
+    sample: Column[record.HighresImu]
+    attitude: Column[record.Attitude]
+    fix: Column[record.GpsRawInt]
+    place: Column[record.GlobalPositionInt]
+    timesync: Column[record.Timesync]
+    out_t: Column[np.int64]
+    out_kind: Column[np.int64]
+    out: Table[np.float64]
+    n: int
+    limit: int
+    our_system: int
+    our_component: int
+    imu_id: int
+    heading_std: float
 
     def __init__(self, session: Session) -> None:
         """Begin with a buffer for the rows of one frame."""
@@ -56,20 +89,20 @@ class PayloadReader:
         self.clock, self.is_idle = decoder.clock, False
         self.our_system, self.our_component = session.outbox.ids
         # One payload, which each message overlays
-        self.payload = payload = np.zeros(ROOM, dtype=np.uint8)
+        self.payload = payload = np.zeros(_ROOM, dtype=np.uint8)
         self.sample, self.attitude = _overlay(payload, "HIGHRES_IMU"), _overlay(payload, "ATTITUDE")
         self.fix = _overlay(payload, "GPS_RAW_INT")
         self.place = _overlay(payload, "GLOBAL_POSITION_INT")
         self.timesync = _overlay(payload, "TIMESYNC")
         self.own = EventBuffer(1)
-        self.use(self.own)
+        self._use(self.own)
 
-    def use(self, buffer: EventBuffer) -> None:
+    def _use(self, buffer: EventBuffer) -> None:
         """Write rows into a buffer."""
         self.buffer, self.n, self.limit = buffer, buffer.size, buffer.limit
         self.out_t, self.out_kind, self.out = buffer.t_ns, buffer.kind, buffer.values
 
-    def begin_row(self, t_ns: int, kind: int) -> int:
+    def _begin_row(self, t_ns: int, kind: int) -> int:
         """Begin a row of zeros; return its number."""
         i = self.n
         self.out_t[i], self.out_kind[i] = t_ns, kind
@@ -78,32 +111,32 @@ class PayloadReader:
         self.n += 1
         return i
 
-    def put_rows(self, measurements: Measurements) -> None:
+    def _put_rows(self, measurements: Measurements) -> None:
         """Write the rows of measurements that the decoder has made."""
         for measurement in measurements:
             t_ns, kind, values = measurement.row()
             if self.n == self.out_t.shape[0]:
                 self.buffer.size = self.n
                 self.buffer.grow()
-                self.use(self.buffer)
-            i = self.begin_row(t_ns, kind)
+                self._use(self.buffer)
+            i = self._begin_row(t_ns, kind)
             for j in range(WIDTH):
                 self.out[i, j] = values[j]
 
-    def put_vector(self, i: int, first: int, x: float, y: float, z: float) -> None:
+    def _put_vector(self, i: int, first: int, x: float, y: float, z: float) -> None:
         """Write a vector of the board into a row, in the vehicle's axes."""
         if self.trim.rows is not None:
             x, y, z = self.trim.to_vehicle(x, y, z)
         self.out[i, first], self.out[i, first + 1], self.out[i, first + 2] = x, y, z
 
-    def put_heading(self, t_ns: int, heading: float) -> None:
+    def _put_heading(self, t_ns: int, heading: float) -> None:
         """Write a heading of the autopilot's, rad."""
         self.heading.pace.admit(t_ns)
-        i = self.begin_row(t_ns, HEADING_ROW)
+        i = self._begin_row(t_ns, HEADING_ROW)
         self.out[i, 0], self.out[i, 1] = wrap(heading), self.heading_std
         self.out[i, 2] = OF_AUTOPILOT
 
-    def take_rows(self) -> list[Row]:
+    def _take_rows(self) -> list[Row]:
         """Return the rows of the buffer."""
         rows = []
         for i in range(self.n):
@@ -111,14 +144,14 @@ class PayloadReader:
             rows.append((self.out_t[i], self.out_kind[i], values))
         return rows
 
-    def free(self) -> None:
+    def _free(self) -> None:
         """Write the rows of the frames that waited."""
         if self.decoder.held:
             held, self.decoder.held = self.decoder.held, []
             for _, measurements in held:
-                self.put_rows(measurements)
+                self._put_rows(measurements)
 
-    def read_timesync(self) -> bool:
+    def _read_timesync(self) -> bool:
         """Count an answer to somebody else, or a request; without requests of ours all are."""
         m = self.timesync[0]
         if not self.is_idle:
@@ -132,29 +165,29 @@ class PayloadReader:
             self.session.misaddressed[IDS["TIMESYNC"]] += 1
         return True
 
-    def is_near(self, stamp: int) -> bool:
+    def _is_near(self, stamp: int) -> bool:
         """Return whether a time since boot, us, is near that of the inertial samples."""
         main = self.clock.main
         if main.latest_us is None or main.leap_us is not None:
             return False
         latest = cython.declare(cython.longlong, main.latest_us)
-        if latest > UNIX_FROM_US or latest > BOOT_US or stamp == 0:
+        if latest > UNIX_FROM_US or latest > _BOOT_US or stamp == 0:
             return False
         # One that is further behind may have been heard before
         return -SLACK_US <= stamp - latest <= NEAR_US
 
-    def advance(self, stamp: int, now_ns: int) -> None:
+    def _advance(self, stamp: int, now_ns: Stamp) -> None:
         """Advance the clock to a time since boot, us, that arrived now, and free what waited."""
         self.clock.now_us = now_ns // 4000 * 4
         self.clock.advance_boot_ms(stamp // 1000)
         if not self.clock.is_behind:
-            self.free()
+            self._free()
 
-    def read_attitude(self, now_ns: int) -> bool:
+    def _read_attitude(self, now_ns: Stamp) -> bool:
         """Follow the stamp of an attitude, and write its heading if that is due."""
         m, main = self.attitude[0], self.clock.main
         stamp = cython.cast(cython.longlong, m.time_boot_ms) * 1000
-        if self.context.is_yaw_ours or not self.is_near(stamp):
+        if self.context.is_yaw_ours or not self._is_near(stamp):
             return False
         is_late = stamp < main.latest_us
         if is_late and main.behind_us is not None and stamp - main.behind_us >= SURE_US:
@@ -162,17 +195,17 @@ class PayloadReader:
         is_due = self.heading.pace.is_due(stamp * 1000)
         if not isfinite(m.yaw) or self.heading.sources.rank != 0 or (is_due and is_late):
             return False
-        self.advance(stamp, now_ns)
+        self._advance(stamp, now_ns)
         self.heading.sources.admit(0, stamp * 1000)
         if is_due:
-            self.put_heading(stamp * 1000, m.yaw)
+            self._put_heading(stamp * 1000, m.yaw)
         return True
 
-    def read_position(self, raw: bytes, now_ns: int) -> bool:
+    def _read_position(self, raw: bytes, now_ns: Stamp) -> bool:
         """Follow the stamp of an autopilot's own position, and write what of it is due."""
         m = self.place[0]
         stamp = cython.cast(cython.longlong, m.time_boot_ms) * 1000
-        if self.context.is_ours or self.context.is_yaw_ours or not self.is_near(stamp):
+        if self.context.is_ours or self.context.is_yaw_ours or not self._is_near(stamp):
             return False
         if not self.fixes.is_settled:
             return False
@@ -180,17 +213,17 @@ class PayloadReader:
             return False
         if stamp < self.clock.main.latest_us or not is_place(m.lat, m.lon):
             return False
-        self.advance(stamp, now_ns)
+        self._advance(stamp, now_ns)
         t_ns = stamp * 1000
         is_taken = m.hdg <= NORTH_CDEG and self.heading.sources.admit(1, t_ns)
         if is_taken and self.heading.pace.is_due(t_ns):
-            self.put_heading(t_ns, m.hdg * 1e-2 * DEGREE)
+            self._put_heading(t_ns, m.hdg * 1e-2 * _DEGREE)
         if self.position.derived_pace.admit(t_ns):
             said = unpack(parsed(IDS["GLOBAL_POSITION_INT"], raw))
-            self.put_rows([self.position.derived(said, t_ns)])
+            self._put_rows([self.position.derived(said, t_ns)])
         return True
 
-    def read_fix(self) -> bool:
+    def _read_fix(self) -> bool:
         """Write the fix of the receiver; its stamp says nothing of the clock."""
         m = self.fix[0]
         if self.clock.is_behind or 0 < m.time_usec < self.newest.get(FIX_ID, 0):
@@ -200,11 +233,11 @@ class PayloadReader:
         measurements = self.fixes.read_first(m)
         if self.decoder.notes:
             self.session.emit_notes()
-        self.free()
-        self.put_rows(measurements)
+        self._free()
+        self._put_rows(measurements)
         return True
 
-    def read_inertial(self) -> bool:
+    def _read_inertial(self) -> bool:
         """Read a sample that plainly follows the last, with what came with it."""
         m = self.sample[0]
         rank = 0 if m.id == self.imu_id else m.id + 1
@@ -215,22 +248,23 @@ class PayloadReader:
         t_us = cython.cast(cython.longlong, m.time_usec)
         if not 0 < t_us <= LAST_US or t_us <= self.imu.last_us:
             return False
-        gx, gy, gz = m.xgyro, m.ygyro, m.zgyro
-        ax, ay, az = m.xacc, m.yacc, m.zacc
-        mx, my, mz, pressure = m.xmag, m.ymag, m.zmag, m.abs_pressure
+        gx, gy, gz = float(m.xgyro), float(m.ygyro), float(m.zgyro)
+        ax, ay, az = float(m.xacc), float(m.yacc), float(m.zacc)
+        mx, my, mz = float(m.xmag), float(m.ymag), float(m.zmag)
+        pressure = float(m.abs_pressure)
         if not isfinite(gx + gy + gz + ax + ay + az):
             return False
         has_field = m.fields_updated & MAG == MAG
         is_zero = mx == 0.0 and my == 0.0 and mz == 0.0
         has_pressure = m.fields_updated & PRESSURE != 0 and pressure != 0.0
-        if has_field and not is_zero and not self.can_read_field(mx, my, mz):
+        if has_field and not is_zero and not self._can_read_field(mx, my, mz):
             return False
-        if has_pressure and not self.can_read_pressure(pressure):
+        if has_pressure and not self._can_read_pressure(pressure):
             return False
         if not self.clock.follow(t_us):
             return False
-        self.free()
-        t_ns = t_us * 1000
+        self._free()
+        t_ns: int = t_us * 1000
         if rank != self.imu.instances.sole:
             self.imu.instances.admit(rank, t_ns)
         why = self.imu.repetition.judge_axes(t_us, gx, gy, gz, ax, ay, az)
@@ -247,39 +281,39 @@ class PayloadReader:
             self.decoder.refused[f"IMU: {OUT_OF_ORDER}"] += 1
         else:
             t_ns = sampled
-            i = self.begin_row(t_ns, IMU_ROW)
-            self.put_vector(i, 0, gx, gy, gz)
-            self.put_vector(i, 3, ax, ay, az)
+            i = self._begin_row(t_ns, IMU_ROW)
+            self._put_vector(i, 0, gx, gy, gz)
+            self._put_vector(i, 3, ax, ay, az)
         if has_field and not is_zero:
-            self.read_field(t_ns, mx, my, mz)
+            self._read_field(t_ns, mx, my, mz)
         elif has_field and self.mag.last:
             self.decoder.refused["mag: of zeros"] += 1
         if has_pressure:
-            self.read_pressure(t_ns, pressure)
+            self._read_pressure(t_ns, pressure)
         return True
 
-    def is_last(self, x: float, y: float, z: float) -> bool:
+    def _is_last(self, x: float, y: float, z: float) -> bool:
         """Return whether a magnetic field is the last one again."""
         if not self.mag.last:
             return False
         was_x, was_y, was_z = self.mag.last
-        return x == was_x and y == was_y and z == was_z
+        return x == float(was_x) and y == float(was_y) and z == float(was_z)
 
-    def can_read_field(self, x: float, y: float, z: float) -> bool:
+    def _can_read_field(self, x: float, y: float, z: float) -> bool:
         """Return whether a magnetic field, gauss, is the last one again, or the Earth's."""
         if self.mag.sources.rank != 0:
             return False
-        return WEAKEST <= sqrt(x * x + y * y + z * z) <= STRONGEST or self.is_last(x, y, z)
+        return WEAKEST <= sqrt(x * x + y * y + z * z) <= STRONGEST or self._is_last(x, y, z)
 
-    def read_field(self, t_ns: int, x: float, y: float, z: float) -> None:
+    def _read_field(self, t_ns: int, x: float, y: float, z: float) -> None:
         """Write a magnetic field that is not the last one again."""
         if self.mag.sources.sole != 0:
             self.mag.sources.admit(0, t_ns)
-        if not self.is_last(x, y, z):
+        if not self._is_last(x, y, z):
             self.mag.last, self.mag.strange = (x, y, z), 0
-            self.put_vector(self.begin_row(t_ns, MAG_ROW), 0, x, y, z)
+            self._put_vector(self._begin_row(t_ns, MAG_ROW), 0, x, y, z)
 
-    def can_read_pressure(self, pressure: float) -> bool:
+    def _can_read_pressure(self, pressure: float) -> bool:
         """Return whether a pressure is the last one again, or in hPa that of the air."""
         if self.baro.sources.rank != 0:
             return False
@@ -289,13 +323,13 @@ class PayloadReader:
             return False
         return LOWEST <= pressure * 100.0 <= HIGHEST
 
-    def read_pressure(self, t_ns: int, pressure: float) -> None:
+    def _read_pressure(self, t_ns: int, pressure: float) -> None:
         """Write the height of a pressure, hPa, that is not the last one again."""
         if self.baro.sources.sole != 0:
             self.baro.sources.admit(0, t_ns)
         if pressure != self.baro.last:
             self.baro.last = pressure
-            self.out[self.begin_row(t_ns, BARO_ROW), 0] = pressure_altitude(pressure * 100.0)
+            self.out[self._begin_row(t_ns, BARO_ROW), 0] = pressure_altitude(pressure * 100.0)
 
 
 def _overlay(payload: npt.NDArray[np.uint8], message: str) -> npt.NDArray[np.void]:
@@ -304,10 +338,10 @@ def _overlay(payload: npt.NDArray[np.uint8], message: str) -> npt.NDArray[np.voi
     return payload[: layout.size].view(layout.dtype).view(np.recarray)
 
 
-def fill(payload: npt.NDArray[np.uint8], data: bytes, begin: int, size: int) -> None:
+def fill(payload: Column[np.uint8], data: cython.p_const_uchar, begin: int, size: int) -> None:
     """Copy a payload, and the zeros that it lacks at its end."""
-    size = min(size, ROOM)
+    size = min(size, _ROOM)
     for i in range(size):
         payload[i] = data[begin + i]
-    for i in range(size, ROOM):
+    for i in range(size, _ROOM):
         payload[i] = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.stamp import SECOND_NS, Stamp
 
 _NEAR = 16
 """Frames that may be lost before one whose checksum nobody can test; no larger gap is believed."""
@@ -25,9 +25,9 @@ class Sequence:
         self.duplicate = 0
         """Frames that came twice in a row."""
         self._last: int | None = None
-        self._last_ns = 0
+        self._last_ns: Stamp = 0
         self._again: int | None = None
-        self._again_ns = 0
+        self._again_ns: Stamp = 0
         self._before: int | None = None
         self._gap = 0
 
@@ -35,7 +35,7 @@ class Sequence:
         """Forget the last number: the sender has restarted, or was not heard for long."""
         self._last = self._again = self._before = None
 
-    def count(self, number: int, now_ns: int, is_behind: bool = False) -> bool:
+    def count(self, number: int, now_ns: Stamp, is_behind: bool = False) -> bool:
         """Count the number of a frame that arrived now; return whether it came again.
 
         That is known only of frames near others that did. One whose stamp is behind is late, and
@@ -63,7 +63,7 @@ class Sequence:
         self._last_ns = now_ns
         return False
 
-    def note_again(self, number: int, now_ns: int) -> None:
+    def note_again(self, number: int, now_ns: Stamp) -> None:
         """Note the number of a frame that was heard before, which counts no more.
 
         Nor does one without a stamp that came just before it, and seemed to end a gap.
@@ -75,7 +75,7 @@ class Sequence:
                 self._last = self._before
             self._before = None
 
-    def _is_again(self, number: int, gap: int, now_ns: int) -> bool:
+    def _is_again(self, number: int, gap: int, now_ns: Stamp) -> bool:
         """Whether a number rather goes on from that of a frame that was heard before."""
         if self._again is None or now_ns - self._again_ns > _AGAIN_NS:
             return False
@@ -85,7 +85,7 @@ class Sequence:
         self._again = number
         return True
 
-    def count_unverified(self, number: int, now_ns: int) -> None:
+    def count_unverified(self, number: int, now_ns: Stamp) -> None:
         """Count the number of a frame whose checksum nobody can test, if it is near the last."""
         if self._last is not None and (number - self._last - 1) & 0xFF <= _NEAR:
             self.count(number, now_ns)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 SECOND_NS = 1_000_000_000
+Stamp: TypeAlias = int
+"""Where it is compiled, still any number of Python's: a message may state what C could not hold."""
 
 
 def quantise(now_ns: int) -> int:

@@ -27,6 +27,8 @@ from __future__ import annotations
 
 from enum import Enum
 
+from ekf_companion.mavlink.stamp import Stamp
+
 UNIX_FROM_US = 1_234_567_890_000_000
 """A stamp above is unix time; the bound that PX4 and MAVROS use (a day in 2009)."""
 LAST_US = 4_000_000_000_000_000
@@ -75,7 +77,7 @@ class Count:
 
     def __init__(self) -> None:
         self.latest_us: int | None = None
-        self.step_us = 0
+        self.step_us: Stamp = 0
         """The longest of the last steps; in a slow stream the next may be twice as long."""
         self.doubt_us: int | None = None
         """A stamp so far ahead that the clock did not follow it, and that it has not reached."""
@@ -90,9 +92,9 @@ class Count:
         """The first stamp after a leap that is held back."""
         self.leap_at_us: int | None = None
         """When it arrived, by our clock; None: not known."""
-        self.leap_end_us = 0
+        self.leap_end_us: Stamp = 0
         """The last that went on from it."""
-        self.first_us = 0
+        self.first_us: Stamp = 0
         """The first stamp of this clock."""
         self.first_at_us: int | None = None
         """When it arrived, by our clock; None: not known."""
@@ -101,7 +103,7 @@ class Count:
         """Know that the clock goes on as it did: an old frame was heard again."""
         self.behind_us = self.leap_us = None
 
-    def take(self, stamp_us: int, now_us: int | None = None) -> Step:
+    def take(self, stamp_us: Stamp, now_us: int | None = None) -> Step:
         """Judge the next stamp, and follow it unless it is a leap.
 
         ``now_us`` is when it arrived, by our clock; None: not known.
@@ -136,7 +138,7 @@ class Count:
         self.leap_us = self.behind_us = self.doubt_us = None
         return Step.FOLLOWED if is_gap else Step.BEGUN
 
-    def _begin(self, stamp_us: int, now_us: int | None) -> None:
+    def _begin(self, stamp_us: Stamp, now_us: int | None) -> None:
         self.latest_us = self.first_us = stamp_us
         self.first_at_us = now_us
 
@@ -152,7 +154,7 @@ class Count:
         passed = self.latest_us - self.first_us
         return now_us - since_us < PACE_US and passed <= FASTEST * (now_us - self.first_at_us)
 
-    def _is_confirmed(self, stamp_us: int) -> bool:
+    def _is_confirmed(self, stamp_us: Stamp) -> bool:
         """Whether a stamp goes on from one that the clock did not follow."""
         if self.latest_us is None or self.doubt_us is None:
             return False
@@ -162,7 +164,7 @@ class Count:
         far = max(AHEAD_US, min(2 * (self.doubt_us - self.latest_us), LONG_US))
         return -NEAR_US <= stamp_us - self.doubt_us <= far
 
-    def _follow(self, stamp_us: int, step: int, now_us: int | None) -> Step:
+    def _follow(self, stamp_us: Stamp, step: Stamp, now_us: int | None) -> Step:
         """Follow a stamp that goes on, or is behind: late, or of a clock that was set back."""
         if self.doubt_us is not None and stamp_us >= self.doubt_us - NEAR_US:
             self.doubt_us = None
@@ -217,7 +219,7 @@ class TimeBase:
         """Whether the last stamp is so far ahead that the clock has not followed it."""
         return self.main.is_doubtful
 
-    def follow(self, stamp_us: int) -> bool:
+    def follow(self, stamp_us: Stamp) -> bool:
         """Follow a stamp that plainly comes next; return False, changing nothing, for another."""
         main = self.main
         latest = main.latest_us
@@ -231,7 +233,7 @@ class TimeBase:
         self.is_behind = False
         return True
 
-    def advance(self, stamp_us: int) -> Step:
+    def advance(self, stamp_us: Stamp) -> Step:
         """Advance to a stamp of the inertial messages' base, or hold it back."""
         step = self.main.take(stamp_us, self.now_us)
         self.is_behind = self.main.behind_us is not None
@@ -242,7 +244,7 @@ class TimeBase:
             self._boot_us = self._next_boot_us = None
         return step
 
-    def advance_boot_ms(self, boot_ms: int) -> Step:
+    def advance_boot_ms(self, boot_ms: Stamp) -> Step:
         """Advance to a stamp in milliseconds since boot, or hold it back."""
         self._note_boot(boot_ms)
         if self.is_unix:
@@ -262,7 +264,7 @@ class TimeBase:
         self.main.confirm()
         self._boot.confirm()
 
-    def behind(self, stamp: int, *, is_ms: bool) -> int | None:
+    def behind(self, stamp: Stamp, *, is_ms: bool) -> int | None:
         """Return by how much a stamp is behind the newest of its base, us; None: not known.
 
         The stamp is in us of either base, or in ms since boot.
@@ -278,7 +280,7 @@ class TimeBase:
                 return None
         return None if latest is None else latest - stamp
 
-    def _note_boot(self, boot_ms: int) -> None:
+    def _note_boot(self, boot_ms: Stamp) -> None:
         """Note milliseconds since boot; those that leap count when others go on from them."""
         latest = self._boot.latest_us if self.is_unix else self.main.latest_us
         boot_us = _unwrapped(boot_ms, latest)
@@ -286,7 +288,7 @@ class TimeBase:
             self._boot_us = boot_us
         self._next_boot_us = boot_us
 
-    def widened(self, stamp_us: int) -> int:
+    def widened(self, stamp_us: Stamp) -> Stamp:
         """Return microseconds since boot that may have 32 bits with the wraps that they lack."""
         reference = self._boot_us
         if reference is None:
@@ -297,7 +299,7 @@ class TimeBase:
         wide = stamp_us + wraps * SHORT_US
         return wide if abs(wide - reference) <= LONG_US else stamp_us
 
-    def relate(self, unix_us: int, boot_ms: int) -> Step:
+    def relate(self, unix_us: Stamp, boot_ms: Stamp) -> Step:
         """Advance by a SYSTEM_TIME, and learn how its two clocks are related (unix 0: unknown)."""
         step = self.advance_boot_ms(boot_ms)
         if step is not Step.HELD and UNIX_FROM_US < unix_us <= LAST_US:
@@ -305,7 +307,7 @@ class TimeBase:
             self._learn(unix_us - _unwrapped(boot_ms, reference))
         return step
 
-    def _learn(self, unix_minus_boot_us: int) -> None:
+    def _learn(self, unix_minus_boot_us: Stamp) -> None:
         """Learn how the clocks are related; a relation far from the last must come twice."""
         known = (self._unix_minus_boot_us, self._held_relation_us)
         is_confirmed = any(
@@ -316,7 +318,7 @@ class TimeBase:
         else:
             self._held_relation_us = unix_minus_boot_us
 
-    def from_us(self, stamp_us: int) -> int | None:
+    def from_us(self, stamp_us: Stamp) -> int | None:
         """Return a stamp of either base in ns on ours; None if nothing relates the two yet."""
         if (stamp_us > UNIX_FROM_US) == self.is_unix:
             return stamp_us * 1000
@@ -325,13 +327,13 @@ class TimeBase:
         moved = self._unix_minus_boot_us if self.is_unix else -self._unix_minus_boot_us
         return (stamp_us + moved) * 1000
 
-    def from_boot_ms(self, boot_ms: int) -> int | None:
+    def from_boot_ms(self, boot_ms: Stamp) -> int | None:
         """Return milliseconds since boot in ns on our base; None if nothing relates the two yet."""
         reference = self._boot.latest_us if self.is_unix else self.main.latest_us
         return self.from_us(_unwrapped(boot_ms, reference))
 
 
-def _unwrapped(boot_ms: int, latest_us: int | None) -> int:
+def _unwrapped(boot_ms: Stamp, latest_us: int | None) -> Stamp:
     """Return milliseconds since boot in us, with as many wraps added as the newest stamp has.
 
     A clock that has restarted has had no wrap. A leap ahead across a wrap by more than an hour is
@@ -348,7 +350,7 @@ def _unwrapped(boot_ms: int, latest_us: int | None) -> int:
     return max(latest_ms + step_ms, 0) * 1000
 
 
-def _agrees(boot_ms: int, stamp_us: int) -> bool:
+def _agrees(boot_ms: Stamp, stamp_us: Stamp) -> bool:
     """Whether milliseconds fit a clock in microseconds, after any number of wraps."""
     away = (boot_ms * 1000 - stamp_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
     return abs(away) <= LONG_US

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+T = TypeVar("T")
+Item = TypeVar("Item", bound=np.generic)
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 """Times, ns."""
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+Column: TypeAlias = npt.NDArray[Item]
+"""Of one dimension and contiguous, as what is compiled takes it."""
+Table: TypeAlias = npt.NDArray[Item]
+"""The same of two dimensions."""
+Bytes: TypeAlias = bytes | bytearray | memoryview
+"""Read where they lie."""
+Const: TypeAlias = Annotated[T, "const"]
+"""An array that may not be writable."""
 
 
 PIECE = 1 << 14
@@ -38,9 +50,6 @@ def known_rows(values: Array) -> Mask:
 
 def median(values: npt.ArrayLike) -> float:
     """Return the median of one or more numbers, none of them NaN, to the bit of ``np.median``.
-
-    ``np.median`` first imports NumPy's masked arrays: a twentieth of the time in which a program
-    starts and converts a short log.
 
     That imports the masked arrays of NumPy first: a twentieth of the time in which a program
     starts and converts a short log.

@@ -9,31 +9,30 @@ import math
 
 import cython
 import numpy as np
-import numpy.typing as npt
 from cython.cimports.libc.math import log
 
-from ekf_companion.nav.arrays import Array, Mask, Stamps
+from ekf_companion.nav.arrays import Array, Column, Const, Mask, Stamps, Table
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 Sample = tuple[float, float, float, float, float, float]
 """Rate, rad/s, and specific force, m/s^2, in the body."""
 
-_CHANCE = cython.declare(cython.double, math.log(1e-12))
+_CHANCE = math.log(1e-12)
 """Logarithm of the probability below which a run is not chance: with independent samples one false
 alarm in some years at 250 Hz."""
-_MEMORY = cython.declare(cython.longlong, 2048)
+_MEMORY = 2048
 """Pairs after which the counts are halved."""
-_FEWEST = cython.declare(cython.longlong, 64)
+_FEWEST = 64
 """Fewest pairs to conclude anything from."""
-_RATE = cython.declare(cython.double, 0.1)
+_RATE = 0.1
 """rad/s: no range ends so low and no gyro has such a bias, so a constant rate beyond it is the end
 of the range."""
-_FORCE = cython.declare(cython.double, 2.0)
+_FORCE = 2.0
 """m/s^2: the same for an accelerometer."""
 _LANDED_US = 5_000_000
 """Identical samples of a vehicle at rest come from a simulator if they last so long, us."""
 
-_BEFORE_ALL_US = cython.declare(cython.longlong, -(2**62))
+_BEFORE_ALL_US = -(2**62)
 """Earlier than any stamp."""
 
 STUCK = "stuck"
@@ -109,8 +108,6 @@ class Repetition:
         A sample at the end of the range counts as measured, with a larger noise, which the filter
         finds.
 
-        One at the end of its range does, with a larger noise, which the filter finds.
-
         Args:
             t_ns: Stamps, shape (n,).
             values: Rows that begin with rate and specific force, shape (n, 6 or more).
@@ -119,7 +116,12 @@ class Repetition:
         self.judge_each(t_ns, np.ascontiguousarray(values), is_good)
         return is_good.view(np.bool_)
 
-    def judge_each(self, t_ns: Stamps, values: Array, is_good: npt.NDArray[np.uint8]) -> None:
+    def judge_each(
+        self,
+        t_ns: Const[Column[np.int64]],
+        values: Const[Table[np.float64]],
+        is_good: Column[np.uint8],
+    ) -> None:
         """Do the work of :meth:`judge_rows`."""
         for n in range(t_ns.shape[0]):
             t_us = t_ns[n] // 1000

@@ -177,7 +177,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
 
     copy_state(smoothing.y, x)
     blocks = np.zeros((31, BLOCK))
-    smoothing.back(blocks)
+    smoothing._back(blocks)
     moved = 0.0
     for block, now, (mean, C) in zip(blocks, live, batch.solve(), strict=True):
         sigma = np.sqrt(np.diag(C))

@@ -32,32 +32,35 @@ def content(held) -> list[Waiting]:
 
 @given(steps)
 def test_events_stay_in_the_order_of_their_arrival(some):
-    held, expected = load().stamps.Held(CAPACITY), []
+    stamps = load().stamps
+    held, expected = stamps.Held(CAPACITY), []
     for step in some:
         if not isinstance(step, int):
             t_ns, kind, first, result = step
-            is_taken = held.add(t_ns, kind, numbers(first), result)
+            is_taken = stamps.append(held, t_ns, kind, numbers(first), result)
             assert is_taken == (len(expected) < CAPACITY)
             if is_taken:
                 expected.append(step)
         elif step < len(expected):
-            held.remove(step)
+            stamps.remove(held, step)
             del expected[step]
         assert content(held) == expected
 
 
 def test_a_full_list_takes_no_more_until_one_is_removed():
-    held = load().stamps.Held(2)
-    assert held.add(1, 0, numbers(1), 0)
-    assert held.add(2, 0, numbers(2), 0)
-    assert not held.add(3, 0, numbers(3), 0)
-    held.remove(0)
-    assert held.add(4, 0, numbers(4), 0)
+    stamps = load().stamps
+    held = stamps.Held(2)
+    assert stamps.append(held, 1, 0, numbers(1), 0)
+    assert stamps.append(held, 2, 0, numbers(2), 0)
+    assert not stamps.append(held, 3, 0, numbers(3), 0)
+    stamps.remove(held, 0)
+    assert stamps.append(held, 4, 0, numbers(4), 0)
     assert held.t_ns.tolist() == [2, 4]
 
 
 def test_the_values_of_an_event_are_copied():
-    held, values = load().stamps.Held(1), numbers(7)
-    held.add(1, 0, values, 0)
+    stamps = load().stamps
+    held, values = stamps.Held(1), numbers(7)
+    stamps.append(held, 1, 0, values, 0)
     values[:] = 0.0
     np.testing.assert_array_equal(held.values[0], numbers(7))

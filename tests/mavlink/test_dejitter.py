@@ -166,7 +166,7 @@ def test_whatever_comes_it_goes_on():
     rng = np.random.default_rng(8)
     one, last = Dejitter(), -1
     for step in rng.choice([0, 1, 3, 2500, 5000, 10**6, 10**12, -(10**9)], 5000).tolist():
-        stamp = max(one._last // 1000 + step, 0)
+        stamp = max(one.last // 1000 + step, 0)
         t_ns = one.smooth(stamp)
         if t_ns is not None and step > 0:
             assert t_ns > last

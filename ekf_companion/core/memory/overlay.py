@@ -1,4 +1,4 @@
-"""Structs laid over arrays of doubles, for the uncompiled kernel; ``memory.pxd`` for the compiled.
+"""Structs laid over arrays of doubles, for the uncompiled kernel; ``overlay.pxd`` for the compiled.
 
 An array is C-contiguous and lives longer than what is laid over it; nothing is copied. Those of
 several give something to be indexed.
@@ -22,7 +22,7 @@ def as_state(block: Array) -> State:
     return _over(State, block)
 
 
-def as_states(blocks: Array) -> Any:
+def as_states(blocks: Array) -> State:
     """Return state blocks, shape (n, BLOCK), as states."""
     return _over(State, blocks, len(blocks))
 
@@ -32,7 +32,7 @@ def as_parameters(numbers: Array) -> Parameters:
     return _over(Parameters, numbers)
 
 
-def as_events(rows: Array) -> Any:
+def as_events(rows: Array) -> Event:
     """Return rows, shape (n, ROW), as events."""
     return _over(Event, rows, len(rows))
 
@@ -47,7 +47,7 @@ def as_odometry(numbers: Array) -> OdometryNumbers:
     return _over(OdometryNumbers, numbers)
 
 
-def as_records(records: Array) -> Any:
+def as_records(records: Array) -> TapeRecord:
     """Return memory for a tape, shape (n, RECORD), as its records."""
     kind: Any = TapeRecord
     return ctypes.cast(records.ctypes.data, ctypes.POINTER(kind))

@@ -1,28 +1,63 @@
-"""Signatures of the compiled kernel, made from the annotations of its functions.
+"""Headers of the compiled modules (``.pxd``), made from the annotations of their sources.
 
-A module of the kernel whose functions take structs and numbers needs no ``.pxd`` by hand: each
-annotation has one meaning in C, and what the file cimports, its signatures may name. Kept by hand
-are those of classes, of inline casts and of functions that Python calls with tuples.
+- ``int`` is a ``long long`` in C, ``float`` a ``double``, ``bool`` a ``bint``; ``cython.X`` is X.
+  A struct of the kernel is passed by its address. Lists, tuples, dicts and bytes are known as such,
+  and a class that is compiled or inherits one that is. All else, and a number or None, is any
+  object.
+- A function that begins with an underscore is C's alone, and one that takes a message's struct. All
+  others are Python's too. One that C cannot call is left out: its arguments go by name only, or it
+  holds a generator.
+- In ``core`` a function that takes and returns none of Python's objects is C's alone, unless it is
+  a method without an underscore. It runs without the interpreter, but where it makes an array or an
+  object; it cannot raise, unless it calls a method that makes one.
+- An attribute is what it is annotated with, or else its first value. Python sees it if it has no
+  underscore and is no memory.
+- A local variable that is annotated is that. A number in capitals is C's alone if it is imported
+  from another module or begins with an underscore, and is written out.
 """
 
 import ast
+import builtins
+import math
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 CORE = Path(__file__).parent.parent
+PACKAGE = CORE.parent
 MARK = "# Made from {} by setup.py"
 CIMPORTS = "cython.cimports."
+OURS = f"{PACKAGE.name}."
+READERS = {
+    "logs": ("csv_lines", "dataflash_search", "json_objects", "tlog_search", "ulog_search"),
+    "mavlink": ("dejitter", "payload", "reader", "sequence", "timebase"),
+    "mavlink.decode": ("fix", "preference", "state"),
+    "nav": ("repetition",),
+}
+"""What is compiled beside the kernel."""
+OVERLAY, MESSAGES = "core.memory.overlay", "mavlink.record"
+STRUCTS = [f"core.memory.{name}" for name in ("parameters", "scratch", "state")]
+VOID, OBJECT = "void {}", "object {}"
+NUMBERS = {"int": "cython.longlong {}", "float": "double {}", "bool": "bint {}"}
+PYTHONS = ("list", "tuple", "dict", "bytes")
 PASSED = {
-    "float": "double {}",
-    "int": "Py_ssize_t {}",
-    "bool": "bint {}",
+    **NUMBERS,
+    **{name: f"{name} {{}}" for name in PYTHONS},
     "Dcm": "double {}[3][3]",
     "Square": "double {}[N][N]",
     "Numbers": "double[::1] {}",
     "Vector": "Vector {}",
     "Structs": "Structs {}",
+    "Bytes": "const cython.uchar[::1] {}",
+    "bytearray": "cython.uchar[::1] {}",
+    "array": "cython.longlong[::1] {}",
 }
-"""A parameter in C; any other annotation is a struct, which is passed by its address."""
-RETURNED = {"None": "void", "float": "double", "int": "Py_ssize_t", "bool": "bint"}
+"""What an annotation is in C, around a name."""
+SHAPES = {"Column": "::1", "Table": ":, ::1"}
+ELEMENTS = {"float64": "double", "float32": "float", "int64": "longlong", "int32": "int"}
+ELEMENTS |= {"int16": "short", "uint16": "ushort", "int8": "schar", "uint8": "uchar"}
+"""Of an array of NumPy, as ``cython`` names it."""
 
 
 def kernel_modules() -> list[str]:
@@ -32,37 +67,296 @@ def kernel_modules() -> list[str]:
     return sorted(".".join(path.relative_to(CORE).with_suffix("").parts) for path in names)
 
 
-def signatures(name: str, source: str) -> str:
-    """Return the ``.pxd`` of a module: what its signatures name, and its functions.
+def compiled_modules() -> list[str]:
+    """Return all modules that are compiled, as far as their sources are here."""
+    others = [f"{room}.{name}" for room, names in READERS.items() for name in names]
+    found = [name for name in others if path_of(name).exists()]
+    return [*(f"core.{name}" for name in kernel_modules()), *found]
+
+
+def path_of(name: str) -> Path:
+    """Return the source of a module of the package."""
+    return PACKAGE / f"{name.replace('.', '/')}.py"
+
+
+def signatures(name: str, text: str) -> str:
+    """Return the ``.pxd`` of a module: what its signatures name, its numbers, classes, functions.
 
     Args:
-        name: Of the module, in ``core``.
-        source: Its text; every function of the module is one of the kernel.
+        name: Of the module, in the package.
+        text: Its source.
+
+    Raises:
+        TypeError: An annotation is missing, or nobody knows what it means.
     """
-    functions = [one for one in ast.parse(source).body if isinstance(one, ast.FunctionDef)]
-    lines = [_signature(one) for one in functions]
-    named = {_hint(arg.annotation) for one in functions for arg in one.args.args}
-    named |= {"N"} if "Square" in named else set()
-    head = [MARK.format(name)]
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(CIMPORTS):
-            found = sorted(alias.name for alias in node.names if alias.name in named)
-            if found:
-                module = str(node.module).removeprefix(CIMPORTS)
-                head.append(f"from {module} cimport {', '.join(found)}")
-    return "\n".join([*head, *lines]) + "\n"
+    return _Module(name, text).header()
 
 
-def _signature(function: ast.FunctionDef) -> str:
-    """Return a function's declaration in C."""
-    passed = ", ".join(
-        PASSED.get(hint := _hint(arg.annotation), hint + " *{}").format(arg.arg)
-        for arg in function.args.args
+class _Module:
+    """A module as it is written, and its header."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self.name, self.body = name, ast.parse(text).body
+        room, _, last = name.rpartition(".")
+        self.is_compiled = last in READERS.get(room, ()) or f"\nfrom {CIMPORTS}" in text
+        self.classes = {one.name: one for one in self.body if isinstance(one, ast.ClassDef)}
+        self.origin: dict[str, str] = {}
+        """Module of each name that is imported, those of the compiler with a prefix."""
+        self.numbers: dict[str, object] = {"math": math}
+        self.numbers["__builtins__"] = {"float": float, "range": range}
+        """What is assigned, as far as it is written out."""
+        self.known = {*dir(builtins), *self.classes, "cython"}
+        for node in self.body:
+            if isinstance(node, ast.ImportFrom):
+                module = str(node.module).replace(OURS, "", 1)
+                self.origin |= {alias.asname or alias.name: module for alias in node.names}
+            elif isinstance(node, ast.Import):
+                self.known |= {alias.asname or alias.name for alias in node.names}
+            elif isinstance(node, ast.Assign):
+                self.known |= {ast.unparse(target) for target in node.targets}
+                if isinstance(node.value, ast.Call) and "cython.declare" in ast.unparse(node):
+                    node.value = node.value.args[-1]
+                with suppress(NameError, AttributeError):
+                    exec(compile(ast.Module([node], []), name, "exec"), self.numbers)
+        self.known |= {*self.origin}
+        self.needs: set[tuple[str, str]] = set()
+        """Module and name of what the header names."""
+
+    def module_of(self, name: str) -> str:
+        """Return the module that a name is imported from."""
+        return self.origin.get(name, "").removeprefix(CIMPORTS)
+
+    def compiled(self, name: str) -> "tuple[_Module, str] | None":
+        """Return module and name of a compiled class: this one, or the first that it inherits."""
+        if name in self.classes:
+            node = self.classes[name]
+            bases = [self.compiled(ast.unparse(base)) for base in node.bases]
+            if self.is_compiled and all(bases) and not node.decorator_list:
+                return self, name
+            return next((one for one in bases if one), None)
+        origin = _read(self.module_of(name))
+        return origin.compiled(name) if origin else None
+
+    def header(self) -> str:
+        """Return the header."""
+        lines = [*self._numbers()]
+        for node in self.body:
+            if isinstance(node, ast.ClassDef):
+                is_native = self.compiled(node.name) == (self, node.name)
+                lines += self._class(node) if is_native else ()
+            elif isinstance(node, ast.FunctionDef):
+                lines += self._function(node, "", set())
+        head = [MARK.format(self.name)]
+        head += ["cimport cython"] if any("cython." in line for line in lines) else []
+        for module in sorted({one for one, _ in self.needs} - {self.name}):
+            names = ", ".join(sorted(name for one, name in self.needs if one == module))
+            head.append(f"from {OURS}{module} cimport {names}")
+        return "\n".join([*head, *lines]) + "\n"
+
+    def _numbers(self) -> Iterator[str]:
+        own = {name: one for name, one in self.numbers.items() if name.startswith("_")}
+        imported = {name: _read(module) for name, module in self.origin.items()}
+        own |= {name: one.numbers.get(name) for name, one in imported.items() if one}
+        for name, number in own.items():
+            if name.isupper() and type(number).__name__ in NUMBERS:
+                yield "cdef " + NUMBERS[type(number).__name__].format(name)
+
+    def _class(self, node: ast.ClassDef) -> Iterator[str]:
+        """Yield a class: its attributes, and its methods."""
+        bases = [self._type(base, node.name).format("").strip() for base in node.bases]
+        yield f"cdef class {node.name}({', '.join(bases)}):".replace("()", "")
+        kinds = self.attributes(node)
+        for name, kind in kinds.items():
+            is_memory = any(mark in kind for mark in ("*", "[:", "][", "cython.p_"))
+            is_hidden = name.startswith("_") or is_memory or self._is_struct(kind[:-3])
+            yield f"    cdef {'' if is_hidden else 'public '}{kind.format(name)}"
+        methods = _functions(node)
+        raising = {one.name for one in methods if self._makes_object(one)}
+        while more := {one.name for one in methods if _called(one) & raising} - raising:
+            raising |= more
+        lines = [line for one in methods for line in self._function(one, node.name, raising)]
+        yield from (f"    {line}" for line in lines or ([] if kinds else ["pass"]))
+
+    def attributes(self, node: ast.ClassDef) -> dict[str, str]:
+        """Return what the attributes of a class are in C, without those that it inherits."""
+        said: dict[str, str] = {}
+        firsts: dict[str, str] = {}
+        for hint in (one for one in node.body if isinstance(one, ast.AnnAssign)):
+            name = ast.unparse(hint.target)
+            said[name] = self._type(hint.annotation, f"{node.name}.{name}")
+        for method in _functions(node):
+            for part in ast.walk(method):
+                if isinstance(part, ast.AnnAssign) and (name := _own(part.target)):
+                    said[name] = self._type(part.annotation, f"{node.name}.{name}")
+                for name, first in _assigned(part):
+                    if name not in firsts:
+                        firsts[name] = self._value(first, method)
+        for base in (self.compiled(ast.unparse(one)) for one in node.bases):
+            for name in base[0].attributes(base[0].classes[base[1]]) if base else ():
+                firsts.pop(name, None)
+        return firsts | said
+
+    def _value(self, value: ast.expr, method: ast.FunctionDef) -> str:
+        """Return what an attribute is in C whose first value this is."""
+        match value:
+            case ast.UnaryOp():
+                return self._value(value.operand, method)
+            case ast.Constant():
+                return NUMBERS.get(type(value.value).__name__, OBJECT)
+            case ast.BinOp(left=ast.List(elts=[element]), right=size):  # [0.0] * 3
+                return self._value(element, method).replace("{}", f"{{}}[{ast.unparse(size)}]")
+            case ast.ListComp(generators=[ast.comprehension(iter=ast.Call(args=[size]))]):
+                return self._value(value.elt, method).replace("{}", f"{{}}[{ast.unparse(size)}]")
+            case ast.List() | ast.Tuple() | ast.Dict():
+                return PASSED[type(value).__name__.lower()]
+            case ast.Name():
+                hints = {arg.arg: arg.annotation for arg in method.args.args}
+                if value.id in hints:
+                    return self._type(hints[value.id], f"{method.name}, {value.id}")
+                return NUMBERS.get(type(self.numbers.get(value.id)).__name__, OBJECT)
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr="zeros" | "full")):
+                kinds = [ast.unparse(one.value) for one in value.keywords if one.arg == "dtype"]
+                shape = SHAPES["Table" if isinstance(value.args[0], ast.Tuple) else "Column"]
+                item = ELEMENTS[kinds[0].removeprefix("np.") if kinds else "float64"]
+                return f"cython.{item}[{shape}] {{}}"
+            case ast.Call(func=ast.Name(id=name)):
+                if self.module_of(name) == OVERLAY and (overlay := _read(OVERLAY)):
+                    (laid,) = (one for one in _functions(overlay) if one.name == name)
+                    struct = ast.unparse(laid.returns or laid)
+                    self.needs.add((overlay.module_of(struct), struct))
+                    return f"{struct} *{{}}"
+                if self.compiled(name) or name in NUMBERS:
+                    return self._type(value.func, method.name)
+                if self._is_struct(name):
+                    return self._type(value.func, method.name).replace("*", "")
+        return OBJECT
+
+    def _function(self, node: ast.FunctionDef, owner: str, raising: set[str]) -> Iterator[str]:
+        """Yield a function's declaration, unless it stays Python's alone."""
+        if node.name.startswith("__") or not _is_callable(node):
+            return
+        where = f"{owner}.{node.name}".lstrip(".")
+        args = node.args.args[1:] if owner else node.args.args
+        kinds = [self._type(arg.annotation, f"{where}, {arg.arg}") for arg in args]
+        returned = self._type(node.returns, f"{where}, returned")
+        words = [kind.split(" ")[0] for kind in (*kinds, returned)]
+        is_native = self.name.startswith("core.") and not {*words} & {"object", *PYTHONS}
+        is_cdef = node.name.startswith("_") or (is_native and not owner)
+        is_cdef |= any((MESSAGES, word) in self.needs for word in words)
+        ending = ""
+        if is_cdef and is_native:
+            ending = " except -1" if node.name in raising else " noexcept"
+            ending += " with gil" if self._makes_object(node) else " nogil"
+            if returned == VOID and node.name in raising:
+                returned = "int {}"
+        elif returned == VOID:
+            returned = OBJECT
+        passed = [kind.format(arg.arg) for kind, arg in zip(kinds, args, strict=True)]
+        first = len(passed) - len(node.args.defaults)
+        passed = [*passed[:first], *(f"{one}=*" for one in passed[first:])]
+        local = [
+            f"{one.target.id}={kind.removesuffix(' {}')}"
+            for one in ast.walk(node)
+            if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)
+            if (kind := self._type(one.annotation, f"{where}, {one.target.id}")) != OBJECT
+        ]
+        if local:
+            yield f"@cython.locals({', '.join(local)})"
+        declared = f"{node.name}({', '.join(['self', *passed] if owner else passed)})"
+        yield f"{'cdef' if is_cdef else 'cpdef'} {returned.format(declared)}{ending}"
+
+    def _type(self, hint: ast.expr | None, where: str) -> str:
+        """Return what an annotation is in C, around a name."""
+        match hint:
+            case None:
+                raise TypeError(f"{self.name}: {where}: has no annotation")
+            case ast.Constant(value=None):
+                return VOID
+            case ast.BinOp():
+                one, other = self._type(hint.left, where), self._type(hint.right, where)
+                return OBJECT if other != VOID or one in NUMBERS.values() else one
+            case ast.Attribute(value=ast.Name(id="cython")):
+                return f"cython.{hint.attr} {{}}"
+            case ast.Attribute(value=ast.Name(id="record")):
+                self.needs.add((MESSAGES, hint.attr))
+                return f"{hint.attr} {{}}"
+            case ast.Subscript(value=ast.Name(id="Const")):
+                return f"const {self._type(hint.slice, where)}"
+            case ast.Subscript(value=ast.Name(id=name)) if name in SHAPES:
+                element = ast.unparse(hint.slice).removeprefix("np.")
+                if element in ELEMENTS:
+                    return f"cython.{ELEMENTS[element]}[{SHAPES[name]}] {{}}"
+                return self._type(hint.slice, where).replace(" ", f"[{SHAPES[name]}] ")
+            case ast.Subscript():
+                return self._type(hint.value, where)
+        name = ast.unparse(hint)
+        module = self.module_of(name)
+        if name == "Square":
+            self.needs.add(("core.memory.enums", "N"))
+        if module.startswith("core.memory."):
+            self.needs.add((module, name))
+        if name in PASSED:
+            return PASSED[name]
+        if self._is_struct(name):
+            return f"{name} *{{}}"
+        if name.partition(".")[0] not in self.known:
+            raise TypeError(f"{self.name}: {where}: nobody knows {name}")
+        if found := self.compiled(name):
+            self.needs.add((found[0].name, found[1]))
+            return f"{found[1]} {{}}"
+        return OBJECT
+
+    def _makes_object(self, node: ast.FunctionDef) -> bool:
+        """Return whether a function makes an array, or an object of a compiled class."""
+        called = [ast.unparse(one.func) for one in ast.walk(node) if isinstance(one, ast.Call)]
+        return any(one.startswith("np.") or self.compiled(one) for one in called)
+
+    def _is_struct(self, name: str) -> bool:
+        return self.module_of(name) in STRUCTS
+
+
+@cache
+def _read(name: str) -> _Module | None:
+    """Return a module of the package; None: it is none."""
+    path = path_of(name)
+    return _Module(name, path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def _is_callable(node: ast.FunctionDef) -> bool:
+    """Return whether C can call a function."""
+    is_free = not (node.args.kwonlyargs or node.args.vararg or node.args.kwarg)
+    generators = (ast.GeneratorExp, ast.Lambda, ast.FunctionDef, ast.Yield)
+    inside = [one for one in ast.walk(node) if one is not node]
+    return (
+        is_free and not node.decorator_list and not any(isinstance(i, generators) for i in inside)
     )
-    returned = RETURNED[_hint(function.returns)]
-    return f"cdef {returned} {function.name}({passed}) noexcept nogil"
 
 
-def _hint(annotation: ast.expr | None) -> str:
-    """Return an annotation as it is written."""
-    return "None" if annotation is None else ast.unparse(annotation)
+def _functions(node: ast.ClassDef | _Module) -> list[ast.FunctionDef]:
+    return [one for one in node.body if isinstance(one, ast.FunctionDef)]
+
+
+def _called(node: ast.FunctionDef) -> set[str]:
+    """Return the methods of its own object that a method calls."""
+    return {_own(one.func) for one in ast.walk(node) if isinstance(one, ast.Call)} - {""}
+
+
+def _own(target: ast.expr) -> str:
+    """Return the name of an attribute of ``self``; empty: it is none."""
+    match target:
+        case ast.Attribute(value=ast.Name(id="self")):
+            return target.attr
+    return ""
+
+
+def _assigned(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    """Yield each attribute of ``self`` that a statement assigns, and the value."""
+    for target in node.targets if isinstance(node, ast.Assign) else ():
+        match target, node:
+            case ast.Tuple(elts=targets), ast.Assign(value=ast.Tuple(elts=values)):
+                pairs = [*zip(targets, values, strict=True)]
+            case ast.Tuple(elts=targets), ast.Assign(value=value):
+                pairs = [(one, value) for one in targets]
+            case _, ast.Assign(value=value):
+                pairs = [(target, value)]
+        yield from ((name, value) for one, value in pairs if (name := _own(one)))

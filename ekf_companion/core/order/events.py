@@ -22,7 +22,6 @@ LARGEST_RATE = cython.declare(cython.double, 200.0)
 """rad/s; no gyro of a vehicle reaches it."""
 LARGEST_FORCE = cython.declare(cython.double, 2000.0)
 """m/s^2."""
-NOWHERE = cython.declare(cython.double, NULL_ISLAND)
 
 
 def compare(row: Event, t: float, kind: int, values: Numbers) -> int:
@@ -87,5 +86,5 @@ def is_sane(kind: int, values: Numbers) -> bool:
 def is_nowhere(lat: float, lon: float, flags: int) -> bool:
     """Return whether a place (rad) is what stands for none: 0, 0, or a derived one near it."""
     if flags & FLAG_DERIVED:
-        return fabs(lat) < NOWHERE and fabs(lon) < NOWHERE
+        return fabs(lat) < NULL_ISLAND and fabs(lon) < NULL_ISLAND
     return lat == 0.0 and lon == 0.0

@@ -26,7 +26,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance,
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.memory import enums
 from cython.cimports.ekf_companion.core.memory.overlay import (
-    Vector,
+    Numbers,
     as_estimate,
     as_events,
     as_odometry,
@@ -40,7 +40,7 @@ from cython.cimports.ekf_companion.core.memory.state import BLOCK
 from cython.cimports.ekf_companion.core.order import step
 from cython.cimports.ekf_companion.core.order.events import compare, is_sane
 from cython.cimports.ekf_companion.core.order.restart import is_sound, recover
-from cython.cimports.ekf_companion.core.order.stamps import Held
+from cython.cimports.ekf_companion.core.order.stamps import Held, append, remove
 from cython.cimports.ekf_companion.core.output.estimate import (
     find_reasons,
     late_fix,
@@ -49,6 +49,8 @@ from cython.cimports.ekf_companion.core.output.estimate import (
 from cython.cimports.ekf_companion.core.output.odometry import write_odometry
 from cython.cimports.ekf_companion.core.start.reboot import carry_over
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset
+
+from ekf_companion.nav.arrays import Column, Table
 
 EPOCH_STEP = cython.declare(cython.longlong, 1 << 52)
 """Epochs are whole multiples of 52 days: times since one are exact in a double."""
@@ -104,7 +106,7 @@ class Timeline:
         if not cython.compiled:
             self.w = Scratch()
         self.retune(parameters)
-        self.delay = np.ascontiguousarray(delay_ns, dtype=np.int64).copy()
+        self.delay: Column[np.int64] = np.ascontiguousarray(delay_ns, dtype=np.int64).copy()
         self.window = float(window_ns)
         self.capacity = capacity
         self.table = np.zeros((capacity, ROW))
@@ -112,7 +114,7 @@ class Timeline:
         # between two snapshots there are always so many inertial rows
         self.snapshot_table = np.zeros((capacity // SNAPSHOT_EVERY + 2, BLOCK))
         self.snapshots = as_states(self.snapshot_table)
-        self.snapshot_row = np.zeros(capacity // SNAPSHOT_EVERY + 2, dtype=np.intp)
+        self.snapshot_row = np.zeros(capacity // SNAPSHOT_EVERY + 2, dtype=np.int64)
         self.blocks = np.zeros((4, BLOCK))
         self.x = as_state(self.blocks[0])
         self.y = as_state(self.blocks[1])
@@ -138,13 +140,13 @@ class Timeline:
         self.reruns = 0
         self.reboots = 0
         self.rebooted_at = 0
-        self.reason_before = enums.RESET_NONE
+        self.reason_before: int = enums.RESET_NONE
         self.stretch = 0
         self.keeps = keeps_history
         self.gone: list[tuple[int, int, np.ndarray, np.ndarray]] = []
-        self.clear()
+        self._clear()
 
-    def clear(self) -> None:
+    def _clear(self) -> None:
         """Forget all events; the state that remains is the one to begin from."""
         self.size = 0
         self.cursor = 0
@@ -160,16 +162,16 @@ class Timeline:
         self.behind_samples = 0
         self.is_leaping = False
         while self.ahead.size > 0:
-            self.recount(self.ahead, 0, enums.ARRIVAL_STRAY)
-            self.ahead.remove(0)
+            self._recount(self.ahead, 0, enums.ARRIVAL_STRAY)
+            remove(self.ahead, 0)
 
-    def restart(self) -> None:
+    def _restart(self) -> None:
         """Begin anew on a clock that began anew.
 
         Beside the count of resets lives on what was learnt of what did not begin anew.
         """
         resets = self.x.resets + 1.0 if self.x.mode != enums.MODE_INIT else self.x.resets
-        self.hand_over(self.cursor)
+        self._hand_over(self.cursor)
         copy_state(self.y, self.x)
         self.blocks[0, :] = 0.0
         if self.y.mode == enums.MODE_NAVIGATE:
@@ -180,31 +182,31 @@ class Timeline:
         self.is_restored = False
         self.is_set = False
         self.lost = 0
-        self.begin_stretch()
-        self.clear()
+        self._begin_stretch()
+        self._clear()
 
-    def reboot(self) -> None:
+    def _reboot(self) -> None:
         """Begin anew as the autopilot does, and count that beside the resets of other reasons."""
         before = cython.declare(cython.double, self.x.resets)
-        reason = cython.declare(cython.longlong, self.last_reason())
-        self.restart()
+        reason = cython.declare(cython.longlong, self._last_reason())
+        self._restart()
         if self.x.resets > before:
             self.reboots += 1
         self.rebooted_at = cython.cast(cython.longlong, self.x.resets)
         self.reason_before = reason
 
-    def last_reason(self) -> int:
+    def _last_reason(self) -> int:
         """Return why the last reset was made that was no reboot."""
         if self.rebooted_at > 0 and self.x.resets == self.rebooted_at:
             return self.reason_before
         return cython.cast(cython.longlong, self.x.reset_reason)
 
-    def begin_stretch(self) -> None:
+    def _begin_stretch(self) -> None:
         """Begin a stretch of the history with the state of now."""
         copy_state(self.first, self.x)
         self.stretch += 1
 
-    def set_clock(self, t_ns: int) -> None:
+    def _set_clock(self, t_ns: int) -> None:
         """Continue on a clock that was set: its first inertial sample follows the last of the old.
 
         How long there was between the two nobody knows; it is taken for the usual interval, and the
@@ -213,7 +215,7 @@ class Timeline:
         behind it. It counts as a reset: whoever compares stamps is told that they have moved.
         """
         self.is_set = False
-        self.hand_over(self.cursor)
+        self._hand_over(self.cursor)
         begin_reset(self.x, enums.RESET_CLOCK)
         back = cython.declare(cython.double, 1e-9 * (self.stamp_ns - t_ns))
         for i in range(3):
@@ -228,10 +230,10 @@ class Timeline:
                 self.x.proven_t = proven_t
         shown = cython.cast(cython.longlong, self.x.t + 1e9 * self.x.dt)
         self.epoch_ns = t_ns - self.delay[enums.KIND_IMU] - shown
-        self.begin_stretch()
-        self.begin_from(self.x.t, t_ns)
+        self._begin_stretch()
+        self._begin_from(self.x.t, t_ns)
 
-    def set_origin(self, lat: float, lon: float, alt: float, offset: Vector) -> None:
+    def set_origin(self, lat: float, lon: float, alt: float, offset: np.ndarray) -> None:
         """Begin with an origin that is given (rad, rad, m), not at the first fix.
 
         Args:
@@ -246,7 +248,9 @@ class Timeline:
             self.x.gnss_offset[i] = offset[i]
         copy_state(address(self.snapshots[0]), self.x)
 
-    def restore(self, block: np.ndarray, waiting: np.ndarray, epoch_ns: int, stamp_ns: int) -> None:
+    def restore(
+        self, block: Numbers, waiting: Table[np.float64], epoch_ns: int, stamp_ns: int
+    ) -> None:
         """Go on from a state that another timeline was in; that counts as a reset.
 
         The next inertial sample decides: within the gap that is bridged (``imu.gap``) nothing was
@@ -268,18 +272,18 @@ class Timeline:
         self.is_restored = True
         self.is_set = False
         self.lost = 0
-        self.begin_from(self.x.t, stamp_ns)
+        self._begin_from(self.x.t, stamp_ns)
         self.table[:count, :] = waiting[:count, :]
         self.size = count
 
-    def begin_from(self, t: float, t_ns: int) -> None:
+    def _begin_from(self, t: float, t_ns: int) -> None:
         """Forget all events up to the newest sample, which was at t: none may go behind it."""
-        self.clear()
+        self._clear()
         self.newest = t
         self.oldest = t
         self.stamp_ns = t_ns
 
-    def insert(self, t_ns: int, kind: int, values: Vector) -> int:
+    def insert(self, t_ns: int, kind: int, values: np.ndarray | tuple[float, ...]) -> int:
         """Insert one event on its arrival and run the filter as far as it now can.
 
         Args:
@@ -293,24 +297,24 @@ class Timeline:
         """
         for i in range(VALUES):
             self.given[i] = values[i]
-        return self.put(t_ns, kind, self.given)
+        return self._put(t_ns, kind, self.given)
 
-    def put(self, t_ns: int, kind: int, values: Vector) -> int:
+    def _put(self, t_ns: int, kind: int, values: Numbers) -> int:
         """Do the work of :meth:`insert`, and count the result by kind."""
         result = enums.ARRIVAL_MALFORMED
         if kind == enums.KIND_RESTART:
             if values[0] != 0.0 and self.newest >= 0.0:
                 self.is_set = True
             else:
-                self.reboot()
+                self._reboot()
             result = enums.ARRIVAL_RESTARTED
         elif kind < self.delay.shape[0] and is_sane(kind, values):
-            result = self.place(t_ns, kind, values)
+            result = self._place(t_ns, kind, values)
         if 0 <= kind < self.delay.shape[0]:
             self.counters[kind, result] += 1
         return result
 
-    def place(self, t_ns: int, kind: int, values: Vector) -> int:
+    def _place(self, t_ns: int, kind: int, values: Numbers) -> int:
         """Insert a well-formed event at its time, and rerun what came after it."""
         is_bridge = cython.declare(cython.bint, False)
         is_stale = cython.declare(cython.bint, False)
@@ -322,17 +326,19 @@ class Timeline:
             # which time it is now, the next inertial sample says
             if kind != enums.KIND_IMU:
                 return enums.ARRIVAL_STALE
-            self.set_clock(t_ns)
+            self._set_clock(t_ns)
         t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch_ns)
 
         # Too old to go back to?
         if self.size == self.capacity:
-            self.trim()
+            self._trim()
         is_stale = self.newest >= 0.0 and (t < self.newest - self.window or t <= self.oldest)
         if kind != enums.KIND_IMU:
-            if self.behind.size > 0 and self.behind.add(t_ns, kind, values, enums.ARRIVAL_TAKEN):
+            if self.behind.size > 0 and append(
+                self.behind, t_ns, kind, values, enums.ARRIVAL_TAKEN
+            ):
                 return enums.ARRIVAL_TAKEN
-            return enums.ARRIVAL_STALE if is_stale else self.fit(t_ns, t, kind, values)
+            return enums.ARRIVAL_STALE if is_stale else self._fit(t_ns, t, kind, values)
 
         # The first sample after a restart: what waits for it was true while nobody listened?
         if self.is_restored and not is_stale:
@@ -343,25 +349,25 @@ class Timeline:
 
         # Do its neighbours confirm its stamp?
         elif t > self.reach:
-            if not self.is_confirmed(t):
-                return self.hold(t_ns, values)
-            self.release(t)
+            if not self._is_confirmed(t):
+                return self._hold(t_ns, values)
+            self._release(t)
         elif t <= self.newest:
-            return self.go_behind(t_ns, t, values, is_stale)
+            return self._go_behind(t_ns, t, values, is_stale)
         if self.behind.size > 0:
-            self.flush()
-        self.learn_interval(t - self.newest)
-        result = self.fit(t_ns, t, kind, values)
+            self._flush()
+        self._learn_interval(t - self.newest)
+        result = self._fit(t_ns, t, kind, values)
         if is_bridge:
-            self.begin_from(t, t_ns)
+            self._begin_from(t, t_ns)
         elif self.ahead.size > 0:
-            self.settle(t)
+            self._settle(t)
         return result
 
-    def fit(self, t_ns: int, t: float, kind: int, values: Vector) -> int:
+    def _fit(self, t_ns: int, t: float, kind: int, values: Numbers) -> int:
         """Insert an event that is neither too old nor in doubt; rerun what came after it."""
         if self.size == self.capacity:
-            self.trim()
+            self._trim()
 
         # Find the place: after all that is earlier, in an order that arrival has no part in
         i = self.size
@@ -372,15 +378,15 @@ class Timeline:
             if order < 0:
                 break
             i -= 1
-        self.write_row(i, t, kind, values)
+        self._write_row(i, t, kind, values)
         if i < self.cursor:
-            self.expect_late(t, kind)
-            self.go_back(i)
-            self.run()
+            self._expect_late(t, kind)
+            self._go_back(i)
+            self._run()
             return enums.ARRIVAL_TAKEN
         if kind != enums.KIND_IMU:
             return enums.ARRIVAL_TAKEN
-        self.run()
+        self._run()
         self.lost = 0
         self.newest = t
         self.stamp_ns = t_ns
@@ -391,7 +397,7 @@ class Timeline:
             self.reach = t + (far if far > LEAP else LEAP)
         return enums.ARRIVAL_ESTIMATED
 
-    def learn_interval(self, step: float) -> None:
+    def _learn_interval(self, step: float) -> None:
         """Learn the usual interval from a step to the next sample: rather the shorter ones."""
         if self.newest < 0.0:
             self.late_t = self.newest + step
@@ -404,16 +410,16 @@ class Timeline:
         else:
             self.interval *= 1.05
 
-    def time_of(self, held: Held, i: int) -> float:
+    def _time_of(self, held: Held, i: int) -> float:
         """Return the time of an event that is held."""
         return cython.cast(cython.double, held.t_ns[i] - self.delay[held.kind[i]] - self.epoch_ns)
 
-    def recount(self, held: Held, i: int, result: int) -> None:
+    def _recount(self, held: Held, i: int, result: int) -> None:
         """Count for an event that was held what became of it."""
         self.counters[held.kind[i], held.result[i]] -= 1
         self.counters[held.kind[i], result] += 1
 
-    def has_room(self, t: float) -> bool:
+    def _has_room(self, t: float) -> bool:
         """Return whether a sample is missing where an earlier time than the newest's lies."""
         before = self.oldest
         after = self.newest
@@ -426,37 +432,37 @@ class Timeline:
             before = self.rows[i].t
         return before < 0.0 or after - before > ROOM * self.interval
 
-    def is_confirmed(self, t: float) -> bool:
+    def _is_confirmed(self, t: float) -> bool:
         """Return whether a stamp that leaps ahead goes on from one that did so before."""
         if self.ahead.size == 0:
             return False
-        if self.is_leaping and t > self.time_of(self.ahead, self.ahead.size - 1):
+        if self.is_leaping and t > self._time_of(self.ahead, self.ahead.size - 1):
             return True
         for i in range(self.ahead.size):
-            step = t - self.time_of(self.ahead, i)
+            step = t - self._time_of(self.ahead, i)
             if 0.0 < step <= self.reach - self.newest:
                 return True
         return False
 
-    def hold(self, t_ns: int, values: Vector) -> int:
+    def _hold(self, t_ns: int, values: Numbers) -> int:
         """Let a sample whose stamp leaps ahead wait."""
         self.is_leaping = True
-        if not self.ahead.add(t_ns, enums.KIND_IMU, values, enums.ARRIVAL_HELD):
+        if not append(self.ahead, t_ns, enums.KIND_IMU, values, enums.ARRIVAL_HELD):
             return enums.ARRIVAL_STRAY
         return enums.ARRIVAL_HELD
 
-    def release(self, t: float) -> None:
+    def _release(self, t: float) -> None:
         """Insert the samples that wait and are not later than a time: samples before were lost."""
         while True:
-            i = self.earliest()
-            if i < 0 or self.time_of(self.ahead, i) > t:
+            i = self._earliest()
+            if i < 0 or self._time_of(self.ahead, i) > t:
                 break
-            at = self.time_of(self.ahead, i)
-            self.fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
-            self.recount(self.ahead, i, enums.ARRIVAL_TAKEN)
-            self.ahead.remove(i)
+            at = self._time_of(self.ahead, i)
+            self._fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
+            self._recount(self.ahead, i, enums.ARRIVAL_TAKEN)
+            remove(self.ahead, i)
 
-    def settle(self, t: float) -> None:
+    def _settle(self, t: float) -> None:
         """Decide on the samples that wait whose time the others have reached.
 
         One that came early finds room there. One without room had a wrong stamp; but as long as
@@ -465,17 +471,17 @@ class Timeline:
         is_orderly = cython.declare(cython.bint, t - self.late_t > ORDERLY)
         margin = self.interval if is_orderly else 0.0
         while True:
-            i = self.earliest()
-            if i < 0 or self.time_of(self.ahead, i) + margin > t:
+            i = self._earliest()
+            if i < 0 or self._time_of(self.ahead, i) + margin > t:
                 break
-            at = self.time_of(self.ahead, i)
+            at = self._time_of(self.ahead, i)
             result = enums.ARRIVAL_STRAY
-            if not is_orderly or self.has_room(at):
-                result = self.fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
-            self.recount(self.ahead, i, result)
-            self.ahead.remove(i)
+            if not is_orderly or self._has_room(at):
+                result = self._fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
+            self._recount(self.ahead, i, result)
+            remove(self.ahead, i)
 
-    def earliest(self) -> int:
+    def _earliest(self) -> int:
         """Return which of the samples that wait is the earliest; -1: none does."""
         first = -1
         for i in range(self.ahead.size):
@@ -483,7 +489,7 @@ class Timeline:
                 first = i
         return first
 
-    def go_behind(self, t_ns: int, t: float, values: Vector, is_stale: bool) -> int:
+    def _go_behind(self, t_ns: int, t: float, values: Numbers, is_stale: bool) -> int:
         """Insert a sample that is not the newest, unless it may be of a clock that was set back.
 
         Samples that find no room wait, with all that came since. When SURE of them have followed
@@ -492,21 +498,21 @@ class Timeline:
         if is_stale:
             self.lost += 1
             if self.lost >= LOST_AFTER:
-                self.restart()
+                self._restart()
                 return enums.ARRIVAL_STALE
-        elif self.is_known(t, values):
+        elif self._is_known(t, values):
             return enums.ARRIVAL_DUPLICATE
-        elif self.has_room(t):
+        elif self._has_room(t):
             self.late_t = self.newest
-            self.flush()
-            return self.fit(t_ns, t, enums.KIND_IMU, values)
+            self._flush()
+            return self._fit(t_ns, t, enums.KIND_IMU, values)
         step = t - self.behind_t
         if self.behind.size > 0 and not 0.0 < step <= self.reach - self.newest:
-            self.flush()
+            self._flush()
         result = enums.ARRIVAL_STALE if is_stale else enums.ARRIVAL_TAKEN
-        if not self.behind.add(t_ns, enums.KIND_IMU, values, result):
-            self.flush()
-            return result if is_stale else self.fit(t_ns, t, enums.KIND_IMU, values)
+        if not append(self.behind, t_ns, enums.KIND_IMU, values, result):
+            self._flush()
+            return result if is_stale else self._fit(t_ns, t, enums.KIND_IMU, values)
         if self.behind.size > 1 and step < self.interval:
             self.interval += 0.2 * (step - self.interval)
         self.behind_t = t
@@ -519,11 +525,11 @@ class Timeline:
             return result
         usual = (SURE - 1) * self.interval
         if 0.5 * usual <= t - self.behind_first <= 1.5 * usual:
-            return self.follow_clock()
-        self.flush()
+            return self._follow_clock()
+        self._flush()
         return result
 
-    def is_known(self, t: float, values: Vector) -> bool:
+    def _is_known(self, t: float, values: Numbers) -> bool:
         """Return whether a sample is a copy of one that is in the window."""
         for i in range(self.size - 1, -1, -1):
             order = compare(address(self.rows[i]), t, enums.KIND_IMU, values)
@@ -531,35 +537,35 @@ class Timeline:
                 return order == 0
         return False
 
-    def follow_clock(self) -> int:
+    def _follow_clock(self) -> int:
         """Go on by a clock that was set back, from the first event that came by it."""
         events = self.behind
         self.behind = Held(BEHIND)
-        self.set_clock(events.t_ns[0])
+        self._set_clock(events.t_ns[0])
         self.counters[enums.KIND_RESTART, enums.ARRIVAL_RESTARTED] += 1
         result = enums.ARRIVAL_TAKEN
         for i in range(events.size):
-            result = self.place(events.t_ns[i], events.kind[i], events.values[i])
+            result = self._place(events.t_ns[i], events.kind[i], events.values[i])
             if i < events.size - 1:
-                self.recount(events, i, result)
+                self._recount(events, i, result)
         return result
 
-    def flush(self) -> None:
+    def _flush(self) -> None:
         """Insert the events that waited until it was known that the clock was not set back."""
         self.behind_samples = 0
         for i in range(self.behind.size):
             result = self.behind.result[i]
             if result == enums.ARRIVAL_TAKEN:
-                t = self.time_of(self.behind, i)
+                t = self._time_of(self.behind, i)
                 if t < self.newest - self.window or t <= self.oldest:
                     result = enums.ARRIVAL_STALE
                 else:
                     kind = self.behind.kind[i]
-                    result = self.fit(self.behind.t_ns[i], t, kind, self.behind.values[i])
-            self.recount(self.behind, i, result)
+                    result = self._fit(self.behind.t_ns[i], t, kind, self.behind.values[i])
+            self._recount(self.behind, i, result)
         self.behind.size = 0
 
-    def write_row(self, i: int, t: float, kind: int, values: Vector) -> None:
+    def _write_row(self, i: int, t: float, kind: int, values: Numbers) -> None:
         """Write an event as row i; the rows from there on move up."""
         for j in range(self.size, i, -1):
             self.rows[j] = self.rows[j - 1]
@@ -569,7 +575,7 @@ class Timeline:
             self.rows[i].values.all[j] = values[j]
         self.size += 1
 
-    def expect_late(self, t: float, kind: int) -> None:
+    def _expect_late(self, t: float, kind: int) -> None:
         """Learn from a late event at which time the next one is expected.
 
         Those of each kind come as far apart as the last two. A wrong guess costs time, no bit.
@@ -582,7 +588,7 @@ class Timeline:
             if other != enums.KIND_IMU and t <= soonest < self.expected_t:
                 self.expected_t = soonest
 
-    def go_back(self, i: int) -> None:
+    def _go_back(self, i: int) -> None:
         """Go back to the last snapshot before row i, or to the mark."""
         while self.snapshot_row[self.snaps - 1] >= i:
             self.snaps -= 1
@@ -597,7 +603,7 @@ class Timeline:
             self.mark_row = -1
         self.reruns += 1
 
-    def run(self) -> None:
+    def _run(self) -> None:
         """Step through all rows up to the last inertial sample, leaving snapshots behind.
 
         Snapshots lie at samples of round number, so that whatever order the events came in, the
@@ -624,7 +630,7 @@ class Timeline:
                 copy_state(self.mark, self.x)
                 self.mark_row = i
 
-    def trim(self) -> None:
+    def _trim(self) -> None:
         """Drop the rows older than the window; if there is no room, what matters least."""
         base = 0
         first = 0
@@ -645,7 +651,7 @@ class Timeline:
                 self.snapshot_row[1] = self.cursor - 1
                 self.snaps = 2
             gone = self.snapshot_row[base] + 1
-            self.hand_over(gone)
+            self._hand_over(gone)
             self.oldest = self.snapshots[base].t
             for i in range(base, self.snaps):
                 copy_state(address(self.snapshots[i - base]), address(self.snapshots[i]))
@@ -660,11 +666,11 @@ class Timeline:
 
     def run_log(
         self,
-        t_ns: np.ndarray,
-        kind: np.ndarray,
-        values: np.ndarray,
-        stamps: np.ndarray,
-        out: np.ndarray,
+        t_ns: Column[np.int64],
+        kind: Column[np.int64],
+        values: Table[np.float64],
+        stamps: Column[np.int64],
+        out: Table[np.float64],
     ) -> int:
         """Insert a table of events in order of arrival, and write an estimate per newest sample.
 
@@ -681,20 +687,20 @@ class Timeline:
         n = 0
         with cython.nogil:  # whatever else is done with the estimates goes on meanwhile
             for i in range(t_ns.shape[0]):
-                arrival = self.put(t_ns[i], cython.cast(cython.int, kind[i]), values[i])
+                arrival = self._put(t_ns[i], cython.cast(cython.int, kind[i]), values[i])
                 if arrival == enums.ARRIVAL_ESTIMATED:
                     write_estimate(self.x, self.k, self.y, address(self.w), as_estimate(out[n]))
                     stamps[n] = t_ns[i]
                     n += 1
         return n
 
-    def hand_over(self, count: int) -> None:
+    def _hand_over(self, count: int) -> None:
         """Keep the first rows for the history: they were stepped through and stay as they are."""
         if self.keeps and count > 0:
-            self.keep(count)
+            self._keep(count)
 
-    def keep(self, count: int) -> None:
-        """Do the work of :meth:`hand_over`, which needs the interpreter."""
+    def _keep(self, count: int) -> None:
+        """Do the work of ``_hand_over``, which needs the interpreter."""
         state, rows = np.array(self.blocks[2]), np.array(self.table[:count])
         self.gone.append((self.stretch, self.epoch_ns, state, rows))
 
@@ -710,7 +716,7 @@ class Timeline:
             the rows, shape (n, ROW).
         """
         if is_over:
-            self.hand_over(self.cursor)
+            self._hand_over(self.cursor)
         parts = self.gone
         self.gone = []
         return parts
@@ -738,7 +744,7 @@ class Timeline:
 
         What a late event makes run again from now on is run by these too.
         """
-        self.parameters = np.ascontiguousarray(parameters, dtype=np.float64).copy()
+        self.parameters: Numbers = np.ascontiguousarray(parameters, dtype=np.float64).copy()
         self.k = as_parameters(self.parameters)
         self.mark_row = -1
 
@@ -764,7 +770,7 @@ class Timeline:
     @property
     def reset_reason(self) -> int:
         """Why the last reset was made that was no reboot."""
-        return int(self.last_reason())
+        return int(self._last_reason())
 
     @property
     def resets(self) -> int:

@@ -16,7 +16,6 @@ in place, so they are one class in a long file.
 from __future__ import annotations
 
 from struct import Struct
-from typing import Any
 
 import cython
 from cython.cimports.ekf_companion.core.memory.constants import PI
@@ -34,8 +33,6 @@ from cython.cimports.libc.math import (
     sqrt,
 )
 
-Numbers = Any
-"""Doubles in place."""
 NUMBERS = Struct("<55f")
 """Of an ODOMETRY: position, quaternion, velocity, rates, and two upper triangles row by row."""
 TRIANGLE = Struct("<21f")
@@ -101,7 +98,9 @@ class Follower:
             self.pos_n, self.vel_n, self.squares = [0.0] * 3, [0.0] * 3, [0.0] * 3
             self.left_pos, self.left_vel, self.shift = [0.0] * 3, [0.0] * 3, [0.0] * 3
             self.C = [[0.0] * 3 for _ in range(3)]
-            self.square, self.cross, self.half = ([[0.0] * 3 for _ in range(3)] for _ in range(3))
+            self.square = [[0.0] * 3 for _ in range(3)]
+            self.cross = [[0.0] * 3 for _ in range(3)]
+            self.half = [[0.0] * 3 for _ in range(3)]
         self.lag, self.is_mean = lag, is_mean
         self.samples: list[tuple[float, ...]] = []
         self.place: tuple[float, ...] | None = None
@@ -166,8 +165,8 @@ class Follower:
             given = TRIANGLE.unpack(relative)
             for i in range(21):
                 self.numbers[POSE + i] = given[i]
-        n = self.numbers
-        self.rotate_from(n)
+        n: cython.p_double = self.numbers
+        self._rotate_from(n)
         for i in range(3):
             self.pos_n[i] = n[i]
             self.vel_n[i] = (
@@ -175,9 +174,9 @@ class Follower:
                 + self.C[i][1] * n[VELOCITY + 1]
                 + self.C[i][2] * n[VELOCITY + 2]
             )
-        self.find_stds()
+        self._find_stds()
         last, before = self.last, self.before
-        v = self.vel_n
+        v: cython.p_double = self.vel_n
         now = (n[0], n[1], n[2], n[3], n[4], n[5], n[6], v[0], v[1], v[2])
         dt = (t_ns - self.t_ns) * 1e-9
         self.step = ()
@@ -195,11 +194,11 @@ class Follower:
         self.t_ns = t_ns
         if len(self.step) == 0:
             return False
-        self.decay(dt)
-        self.judge(dt, stated)
+        self._decay(dt)
+        self._judge(dt, stated)
         return True
 
-    def find_stds(self) -> None:
+    def _find_stds(self) -> None:
         """Find one sigma of what was looked at; infinite where none is known, 0 of no attitude."""
         n = self.numbers
         self.std_position = self.std_velocity = self.std_yaw = INFINITE
@@ -208,20 +207,21 @@ class Follower:
             self.std_velocity = sqrt(n[TWIST] + n[TWIST + 6] + n[TWIST + 11])
             self.std_yaw = sqrt(n[POSE + 20])
         largest = 0.0
-        for i in (POSE + 15, POSE + 18, POSE + 20):
-            if isfinite(n[i]) and n[i] > largest:
-                largest = n[i]
-        self.std_attitude = sqrt(largest)
+        for i in range(3, 6):
+            variance = n[POSE + triangle(i, i)]
+            if isfinite(variance) and variance > largest:
+                largest = variance
+        self.std_attitude: float = sqrt(largest)
 
     def std_ground_speed(self) -> float:
         """Return one sigma of the velocity over ground, both axes, m/s; infinite if not known."""
         for i in range(55):
             self.sent[i] = self.numbers[i]
-        self.turn_velocity()
+        self._turn_velocity()
         variance = self.sent[TWIST] + self.sent[TWIST + 6]
         return sqrt(variance) if isfinite(self.sent[TWIST]) else INFINITE
 
-    def judge(self, dt: float, stated: tuple[float, float, float]) -> None:
+    def _judge(self, dt: float, stated: tuple[float, float, float]) -> None:
         """Find what of the step is a jump: many times the usual, which is learnt, between bounds.
 
         At the lower no follower refuses it; at the upper one of them does, however noisy the
@@ -245,14 +245,14 @@ class Follower:
             if i == 0 and self.age < START_TIME:
                 within = 3.0 * within
             usual = MANY * sqrt(self.squares[i])
-            largest = max(min(max(least, usual), most), within)
-            largest += slow * (beyond * beyond if i == 0 else beyond)
+            largest = max(min(max(float(least), usual), float(most)), within)
+            largest += float(slow) * (beyond * beyond if i == 0 else beyond)
             jumps.append(size > largest)
             size = min(size, largest)
             self.squares[i] += weight * (size * size - self.squares[i])
         self.jumps = tuple(jumps)
 
-    def decay(self, dt: float) -> None:
+    def _decay(self, dt: float) -> None:
         """Let what is spread come nearer to the estimate over a time, s."""
         if not self.is_spreading:
             return
@@ -311,19 +311,19 @@ class Follower:
         for i in range(55):
             self.sent[i] = self.numbers[i]
         if climb != 1.0:
-            self.scale_climb(climb)
+            self._scale_climb(climb)
         if errors != 1.0:
-            self.scale_errors(POSE, sqrt(errors))
-            self.scale_errors(TWIST, sqrt(errors))
+            self._scale_errors(POSE, sqrt(errors))
+            self._scale_errors(TWIST, sqrt(errors))
         if self.is_spreading or self.is_moved:
-            self.add_left()
+            self._add_left()
         if self.place is not None:
-            self.put_in_place(self.place)
+            self._put_in_place(self.place)
         if is_local:
-            self.turn_velocity()
+            self._turn_velocity()
         return NUMBERS.pack(*[self.sent[i] for i in range(55)])
 
-    def rotate_from(self, n: Numbers) -> None:
+    def _rotate_from(self, n: cython.p_double) -> None:
         """Write the matrix of the quaternion among some numbers."""
         w = n[QUATERNION]
         x = n[QUATERNION + 1]
@@ -340,7 +340,7 @@ class Follower:
         C[2][1] = 2.0 * (y * z + w * x)
         C[2][2] = w * w - x * x - y * y + z * z
 
-    def scale_climb(self, factor: float) -> None:
+    def _scale_climb(self, factor: float) -> None:
         """Multiply the variance of the velocity down.
 
         The covariance is along the axes of b, of which none points down while the vehicle is
@@ -350,7 +350,7 @@ class Follower:
         n = self.sent
         if not isfinite(n[TWIST]):
             return
-        self.rotate_from(n)
+        self._rotate_from(n)
         down_b = self.C[2]
         variance = 0.0
         for i in range(3):
@@ -363,7 +363,7 @@ class Follower:
                 k = TWIST + triangle(i, j)
                 n[k] = single(n[k] + (factor - 1.0) * variance * down_b[i] * down_b[j])
 
-    def scale_errors(self, start: int, root: float) -> None:
+    def _scale_errors(self, start: int, root: float) -> None:
         """Multiply the first three errors of a covariance."""
         n = self.sent
         if not isfinite(n[start]):
@@ -373,7 +373,7 @@ class Follower:
                 k = start + triangle(i, j)
                 n[k] = single(n[k] * (root * root if j < 3 else root))
 
-    def add_left(self) -> None:
+    def _add_left(self) -> None:
         """Add what is to come to the estimate yet, in the frame that is sent.
 
         The variances grow by the square of what is added.
@@ -402,7 +402,7 @@ class Follower:
         n[4] = qx / norm
         n[5] = qy / norm
         n[6] = qz / norm
-        self.rotate_from(n)
+        self._rotate_from(n)
 
         # The velocity along the axes of b, and what was added to it
         x = self.left_vel[0] + self.vel_n[0]
@@ -423,7 +423,7 @@ class Follower:
             C[0][1] = -s
             C[0][2] = C[1][2] = C[2][0] = C[2][1] = 0.0
             C[2][2] = 1.0
-            self.turn_rows(POSE)
+            self._turn_rows(POSE)
         if isfinite(n[POSE]):
             x = c * self.left_pos[0] - s * self.left_pos[1]
             y = s * self.left_pos[0] + c * self.left_pos[1]
@@ -434,29 +434,29 @@ class Follower:
         for i in range(55):
             n[i] = single(n[i])
 
-    def put_in_place(self, place: tuple[float, ...]) -> None:
+    def _put_in_place(self, place: tuple[float, ...]) -> None:
         """Write the position as metres of the follower's own map."""
         n = self.sent
         azimuthal, radius, lat, lon, alt, to_north, to_east, lat_0, lon_0, alt_0 = place
-        lat = lat + n[0] / to_north
-        lon = lon + n[1] / to_east
-        n[2] = single(alt_0 - (alt - n[2]))
+        lat = float(lat) + n[0] / float(to_north)
+        lon = float(lon) + n[1] / float(to_east)
+        n[2] = single(float(alt_0) - (float(alt) - n[2]))
         project(n, azimuthal != 0.0, radius, lat, lon, lat_0, lon_0)
 
-    def turn_velocity(self) -> None:
+    def _turn_velocity(self) -> None:
         """Write velocity, and the covariance of that, along the local axes."""
         n = self.sent
-        self.rotate_from(n)
+        self._rotate_from(n)
         x = n[VELOCITY]
         y = n[VELOCITY + 1]
         z = n[VELOCITY + 2]
         for i in range(3):
             n[VELOCITY + i] = single(self.C[i][0] * x + self.C[i][1] * y + self.C[i][2] * z)
-        self.turn_rows(TWIST)
+        self._turn_rows(TWIST)
         for i in range(15):
             n[TWIST + i] = single(n[TWIST + i])
 
-    def turn_rows(self, start: int) -> None:
+    def _turn_rows(self, start: int) -> None:
         """Turn the first three errors of a covariance by the matrix C."""
         n = self.sent
         C = self.C
@@ -496,7 +496,7 @@ def single(value: float) -> float:
     return cython.cast(cython.float, value)
 
 
-def shorten(vector: Numbers, by: float) -> bool:
+def shorten(vector: cython.p_double, by: float) -> bool:
     """Make a vector shorter; return whether anything is left of it."""
     x = vector[0]
     y = vector[1]
@@ -509,7 +509,7 @@ def shorten(vector: Numbers, by: float) -> bool:
 
 
 def project(
-    n: Numbers,
+    n: cython.p_double,
     is_azimuthal: bool,
     radius: float,
     lat: float,

@@ -5,8 +5,6 @@ It knows nothing of the filter but what it states, as whoever is sent the estima
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cython
 from cython.cimports.libc.math import atan2, cos, sin, sqrt
 
@@ -15,8 +13,8 @@ GRAVITY = cython.declare(cython.double, 9.81)
 
 
 def unexplained_step(
-    last: Sequence[float],
-    now: Sequence[float],
+    last: tuple[float, ...],
+    now: tuple[float, ...],
     samples: list[tuple[float, ...]],
     dt: float,
     before: tuple[float, ...],
@@ -37,26 +35,27 @@ def unexplained_step(
         ahead: How far ahead an estimate is of the end of its last sample, s.
     """
     rx = ry = rz = fx = fy = fz = 0.0
+    sample: tuple[float, ...]
     for sample in samples:
-        rx += sample[0]
-        ry += sample[1]
-        rz += sample[2]
-        fx += sample[3]
-        fy += sample[4]
-        fz += sample[5]
+        rx += float(sample[0])
+        ry += float(sample[1])
+        rz += float(sample[2])
+        fx += float(sample[3])
+        fy += float(sample[4])
+        fz += float(sample[5])
     share = 1.0 / len(samples)
     fx, fy, fz = fx * share, fy * share, fz * share
     share *= dt
     rx, ry, rz = rx * share, ry * share, rz * share
-    end = samples[len(samples) - 1]
-    rx += ahead * (end[0] - before[0])
-    ry += ahead * (end[1] - before[1])
-    rz += ahead * (end[2] - before[2])
+    end: tuple[float, ...] = samples[len(samples) - 1]
+    rx += ahead * (float(end[0]) - float(before[0]))
+    ry += ahead * (float(end[1]) - float(before[1]))
+    rz += ahead * (float(end[2]) - float(before[2]))
 
     # Turn the attitude by the samples
     half = 0.5 * sqrt(rx * rx + ry * ry + rz * rz)
     scale = 0.5 * sin(half) / half if half > 0.0 else 0.5
-    w, x, y, z = last[3], last[4], last[5], last[6]
+    w, x, y, z = float(last[3]), float(last[4]), float(last[5]), float(last[6])
     dw, dx, dy, dz = cos(half), rx * scale, ry * scale, rz * scale
     tw = w * dw - x * dx - y * dy - z * dz
     tx = w * dx + x * dw + y * dz - z * dy
@@ -67,11 +66,11 @@ def unexplained_step(
     ax = 0.5 * (rotate_x(w, x, y, z, fx, fy, fz) + rotate_x(tw, tx, ty, tz, fx, fy, fz))
     ay = 0.5 * (rotate_y(w, x, y, z, fx, fy, fz) + rotate_y(tw, tx, ty, tz, fx, fy, fz))
     az = 0.5 * (rotate_z(w, x, y, z, fx, fy, fz) + rotate_z(tw, tx, ty, tz, fx, fy, fz)) + GRAVITY
-    fx, fy, fz = before[3], before[4], before[5]
+    fx, fy, fz = float(before[3]), float(before[4]), float(before[5])
     gx = ahead * rotate_x(w, x, y, z, fx, fy, fz)
     gy = ahead * rotate_y(w, x, y, z, fx, fy, fz)
     gz = ahead * rotate_z(w, x, y, z, fx, fy, fz)
-    fx, fy, fz = end[3], end[4], end[5]
+    fx, fy, fz = float(end[3]), float(end[4]), float(end[5])
     gx = ahead * rotate_x(tw, tx, ty, tz, fx, fy, fz) - gx
     gy = ahead * rotate_y(tw, tx, ty, tz, fx, fy, fz) - gy
     gz = ahead * rotate_z(tw, tx, ty, tz, fx, fy, fz) - gz
@@ -80,7 +79,7 @@ def unexplained_step(
     fx = 1.0 - 2.0 * (ty * ty + tz * tz)
     fy = 2.0 * (tx * ty - tw * tz)
     fz = 2.0 * (tx * tz + tw * ty)
-    w, x, y, z = now[3], now[4], now[5], now[6]
+    w, x, y, z = float(now[3]), float(now[4]), float(now[5]), float(now[6])
     yaw = atan2(rotate_y(w, x, y, z, fx, fy, fz), rotate_x(w, x, y, z, fx, fy, fz))
 
     half = 0.5 * dt

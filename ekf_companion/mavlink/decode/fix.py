@@ -7,16 +7,18 @@ the decoder of single frames read them here both: a fix has one way.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
+from ekf_companion.mavlink import record
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
+from ekf_companion.mavlink.stamp import Stamp
 from ekf_companion.mavlink.timebase import LAST_US
+from ekf_companion.nav.arrays import Column
 from ekf_companion.nav.held_heading import HeldHeading
 from ekf_companion.nav.held_velocity import REPEATED, HeldVelocities
 from ekf_companion.nav.measurements import (
@@ -27,27 +29,26 @@ from ekf_companion.nav.measurements import (
     HeadingSource,
 )
 
-# Numbers here, and those that are imported, are typed in the .pxd
-UNKNOWN_16 = 65535
-NO_GPS, FIX_3D = 0, 3
-STRAY_NS = 30_000_000_000
+_UNKNOWN_16 = 65535
+_NO_GPS, _FIX_3D = 0, 3
+_STRAY_NS = 30_000_000_000
 """A fix stamped further from the inertial samples is on another clock."""
-UNRELATED_NS = 5_000_000_000
+_UNRELATED_NS = 5_000_000_000
 """Where nothing relates the stamps of fixes to the inertial ones for so long, nothing will."""
-GEOID = 120.0
+_GEOID = 120.0
 """m; nowhere is the sea level further from the ellipsoid: -107 to +86 m (EGM96)."""
 
-RANGE_ERROR = 1.5
+_RANGE_ERROR = 1.5
 """Position error per unit of HDOP, m: L1 receiver with SBAS-like corrections, open sky."""
-STD_FLOOR = 0.5
+_STD_FLOOR = 0.5
 """Least one sigma of an unaided receiver, whatever its HDOP, m."""
-STD_UNKNOWN = 5.0
+_STD_UNKNOWN = 5.0
 """One sigma of a fix that does not state its error, m."""
-STD_VEL = 0.3
+_STD_VEL = 0.3
 """One sigma of the velocity where the receiver gives none, m/s: u-blox Doppler, open sky."""
-STD_YAW = math.radians(1.0)
+_STD_YAW = math.radians(1.0)
 """One sigma of a dual-antenna heading that gives none, rad: 1 cm across half a metre."""
-STD_YAW_FLOOR = math.radians(0.1)
+_STD_YAW_FLOOR = math.radians(0.1)
 
 
 class _Receiver:
@@ -75,9 +76,9 @@ class Fixes:
     def __init__(self, context: Context) -> None:
         self._context = context
         layout = by_name("GPS_RAW_INT")
-        self._names = layout.names
+        self._names: tuple[str, ...] = layout.names
         self._record = np.zeros(1, dtype=layout.dtype).view(np.recarray)
-        self._said = self._record
+        self._said: Column[record.GpsRawInt] = self._record
         self.forget()
 
     def forget(self) -> None:
@@ -105,7 +106,7 @@ class Fixes:
         """Read GPS_RAW_INT."""
         return self.read_first(self._content(frame))
 
-    def read_first(self, m: Any) -> Measurements:
+    def read_first(self, m: record.GpsRawInt) -> Measurements:
         """Return what a GPS_RAW_INT says: a fix, if it is new, and a heading."""
         return self._with_heading(self._first, self._read(self._first, m), m)
 
@@ -121,13 +122,13 @@ class Fixes:
             return out
         return self._with_heading(self._second, out, m)
 
-    def _content(self, frame: Frame) -> Any:
+    def _content(self, frame: Frame) -> record.GpsRawInt:
         """Return what a message of either receiver says, as GPS_RAW_INT says it."""
         m = unpack(frame)
         self._record[0] = tuple([getattr(m, name) for name in self._names])
         return self._said[0]
 
-    def _read(self, receiver: _Receiver, m: Any) -> Measurements:
+    def _read(self, receiver: _Receiver, m: record.GpsRawInt) -> Measurements:
         """Return the new fix of a receiver, if there is one."""
         if (refusal := self._refusal(receiver, m)) is not None:
             return self._refuse(receiver, refusal)
@@ -146,13 +147,13 @@ class Fixes:
         """Count a refusal; return no measurements."""
         return self._context.refuse(f"{receiver.message}: {why}")
 
-    def _refusal(self, receiver: _Receiver, m: Any) -> str | None:
+    def _refusal(self, receiver: _Receiver, m: record.GpsRawInt) -> str | None:
         """Return why a message holds no new fix; None if it does."""
-        receiver.is_heard |= m.fix_type != NO_GPS or not self._may_lack_receiver
-        if m.fix_type < FIX_3D or not is_place(m.lat, m.lon):
+        receiver.is_heard |= m.fix_type != _NO_GPS or not self._may_lack_receiver
+        if m.fix_type < _FIX_3D or not is_place(m.lat, m.lon):
             receiver.fixes, receiver.is_good = 0, False
             self.is_settled &= self.is_alone or self.has_fix
-            return "no 3-D fix" if m.fix_type < FIX_3D else "no position"
+            return "no 3-D fix" if m.fix_type < _FIX_3D else "no position"
         if receiver.is_good:
             receiver.has_fix = self.is_settled = True
         receiver.is_good = True
@@ -170,7 +171,7 @@ class Fixes:
         """
         return self._context.family is Family.PX4
 
-    def _time(self, message: str, stamp_us: int) -> int | str:
+    def _time(self, message: str, stamp_us: Stamp) -> int | str:
         """Return the time of a fix, ns, or why there is none.
 
         A stamp of 0 means now. So does one on the other base where SYSTEM_TIME, which would relate
@@ -188,7 +189,7 @@ class Fixes:
         if t_ns is None:
             if self._unrelated_ns is None:
                 self._unrelated_ns = now_ns
-            if now_ns - self._unrelated_ns < UNRELATED_NS or clock.is_in_doubt:
+            if now_ns - self._unrelated_ns < _UNRELATED_NS or clock.is_in_doubt:
                 return "time base unknown"
             self._context.refused[f"{message}: stamp replaced by the time of arrival"] += 1
             self._context.note_once(
@@ -196,29 +197,29 @@ class Fixes:
                 "SYSTEM_TIME relates them: fixes count as of the newest inertial sample"
             )
             return now_ns
-        if abs(t_ns - now_ns) > STRAY_NS:
+        if abs(t_ns - now_ns) > _STRAY_NS:
             return "stamp far from the inertial samples"
         return t_ns
 
-    def _compare_heights(self, message: str, m: Any) -> None:
+    def _compare_heights(self, message: str, m: record.GpsRawInt) -> None:
         """Note where the height above the sea can only be some other height."""
-        if m.alt_ellipsoid != 0 and abs(float(m.alt) - m.alt_ellipsoid) * 1e-3 > GEOID:
+        if m.alt_ellipsoid != 0 and abs(float(m.alt) - m.alt_ellipsoid) * 1e-3 > _GEOID:
             self._context.refused[f"{message}: height above the sea in doubt"] += 1
             self._context.note_once(
                 f"{message}: the height above the sea and that above the ellipsoid are further "
                 "apart than anywhere on Earth; the first is used: check the receiver's driver"
             )
 
-    def _fix(self, receiver: _Receiver, m: Any, t_ns: int) -> GnssFix:
+    def _fix(self, receiver: _Receiver, m: record.GpsRawInt, t_ns: Stamp) -> GnssFix:
         """Return a fix, without its velocity where that was not measured."""
         place = math.radians(m.lat * 1e-7), math.radians(m.lon * 1e-7), m.alt * 1e-3
-        std_h = m.h_acc * 1e-3 or dilution(m.eph) or STD_UNKNOWN
+        std_h = m.h_acc * 1e-3 or dilution(m.eph) or _STD_UNKNOWN
         std_v = m.v_acc * 1e-3 or dilution(m.epv) or 1.5 * std_h
         vel_north = vel_east = std_vel = None
-        if m.vel != UNKNOWN_16 and m.cog <= NORTH_CDEG:
+        if m.vel != _UNKNOWN_16 and m.cog <= NORTH_CDEG:
             speed, course = m.vel * 1e-2, math.radians(m.cog * 1e-2)
             vel_north, vel_east = speed * math.cos(course), speed * math.sin(course)
-            std_vel = m.vel_acc * 1e-3 or STD_VEL
+            std_vel = m.vel_acc * 1e-3 or _STD_VEL
         if not receiver.flags:
             self.std = std_h, std_v, std_vel or 0.0
         vel = vel_north, vel_east, None
@@ -248,7 +249,9 @@ class Fixes:
                 "positions move otherwise, so it is not used; check the receiver's settings"
             )
 
-    def _with_heading(self, receiver: _Receiver, fixes: Measurements, m: Any) -> Measurements:
+    def _with_heading(
+        self, receiver: _Receiver, fixes: Measurements, m: record.GpsRawInt
+    ) -> Measurements:
         """Return the fix of a message, if there is one, with the heading of its antennas.
 
         One that is the last again is left out; at rest it counts once in a second all the same.
@@ -256,7 +259,7 @@ class Fixes:
         if not fixes or not 0 < m.yaw <= NORTH_CDEG:
             return fixes
         t_ns, heading = fixes[0].t_ns, wrap(math.radians(m.yaw * 1e-2))
-        is_still = m.vel != UNKNOWN_16 and m.vel * 1e-2 < STD_VEL
+        is_still = m.vel != _UNKNOWN_16 and m.vel * 1e-2 < _STD_VEL
         if heading and (why := receiver.yaw.judge(t_ns, heading, is_still=is_still)):
             self._refuse(receiver, f"yaw {why}")
             return fixes
@@ -273,13 +276,13 @@ def is_place(lat_degE7: int, lon_degE7: int) -> bool:
 
 def dilution(dop_100: int) -> float:
     """Return the one sigma, m, of a dilution of precision times 100; 0.0 where it is unknown."""
-    if dop_100 in (0, 9999, UNKNOWN_16):
+    if dop_100 in (0, 9999, _UNKNOWN_16):
         return 0.0
-    return max(RANGE_ERROR * dop_100 * 1e-2, STD_FLOOR)
+    return max(_RANGE_ERROR * dop_100 * 1e-2, _STD_FLOOR)
 
 
 def yaw_std(hdg_acc_degE5: int) -> float:
     """Return the one sigma, rad, of a dual-antenna heading."""
     if hdg_acc_degE5 == 0:
-        return STD_YAW
-    return min(max(math.radians(hdg_acc_degE5 * 1e-5), STD_YAW_FLOOR), math.pi)
+        return _STD_YAW
+    return min(max(math.radians(hdg_acc_degE5 * 1e-5), _STD_YAW_FLOOR), math.pi)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.stamp import SECOND_NS, Stamp
 
 ABSENT_NS = 3 * SECOND_NS
 """A better source must be silent for so long before the next one is used."""
@@ -18,7 +18,7 @@ _BURST = 8
 class _Challenger:
     """What is known of a source that is not in use, since it began to speak."""
 
-    def __init__(self, t_ns: int, used: int) -> None:
+    def __init__(self, t_ns: Stamp, used: int) -> None:
         self.first_ns, self.count = t_ns, 1
         self.used = self.since = used
         """Messages of the source in use until it began, and until it last spoke."""
@@ -55,7 +55,7 @@ class Preference:
         self.rank = rank
         self.sole = -1 if self._challengers else rank
 
-    def admit(self, rank: int, t_ns: int) -> bool:
+    def admit(self, rank: int, t_ns: Stamp) -> bool:
         """Whether to use a source now, by its rank and its own stamp."""
         if rank == self.rank:
             self._used += 1
@@ -74,7 +74,7 @@ class Preference:
             self.use(rank)
         return is_taken
 
-    def _is_steady(self, one: _Challenger, t_ns: int) -> bool:
+    def _is_steady(self, one: _Challenger, t_ns: Stamp) -> bool:
         """Whether a better source has spoken long and often enough; if not, watch it anew."""
         used, is_burst = self._used - one.used, self._used - one.since > _BURST
         one.since = self._used
@@ -85,7 +85,7 @@ class Preference:
         one.first_ns, one.count, one.used = t_ns, 1, self._used
         return False
 
-    def _is_needed(self, one: _Challenger, t_ns: int) -> bool:
+    def _is_needed(self, one: _Challenger, t_ns: Stamp) -> bool:
         """Whether the source in use is silent, or as good as silent beside a worse one."""
         if self._waiting_ns is None or t_ns < self._waiting_ns:
             self._waiting_ns = t_ns
@@ -103,13 +103,13 @@ class Pace:
 
     def __init__(self, rate: float) -> None:
         self._period_ns = round(SECOND_NS / rate * 0.99)  # stamps jitter
-        self._last_ns: int | None = None
+        self._last_ns: Stamp | None = None
 
-    def is_due(self, t_ns: int) -> bool:
+    def is_due(self, t_ns: Stamp) -> bool:
         """Whether a period has passed since the last that was admitted."""
         return self._last_ns is None or not 0 <= t_ns - self._last_ns < self._period_ns
 
-    def admit(self, t_ns: int) -> bool:
+    def admit(self, t_ns: Stamp) -> bool:
         """Admit one if a period has passed since the last that was; return whether."""
         if not self.is_due(t_ns):
             return False
