@@ -52,55 +52,44 @@ HEADING_ROW = cython.declare(cython.longlong, Kind.HEADING)
 class PayloadReader:
     """Reads payloads for one session, and writes rows into the arrays of a buffer."""
 
-    newest: dict[int, int]
-    decoder: Decoder
-    context: Context
-    trim: Trim
-    imu: Inertial
-    mag: FieldState
-    baro: PressureState
-    heading: Heading
-    fixes: Fixes
-    clock: TimeBase
-    sample: Column[record.HighresImu]
-    attitude: Column[record.Attitude]
-    fix: Column[record.GpsRawInt]
-    place: Column[record.GlobalPositionInt]
-    timesync: Column[record.Timesync]
-    out_t: Column[np.int64]
-    out_kind: Column[np.int64]
-    out: Table[np.float64]
-    n: int
-    limit: int
-    our_system: int
-    our_component: int
-    imu_id: int
-    heading_std: float
-
     def __init__(self, session: Session) -> None:
         """Begin with a buffer for the rows of one frame."""
-        self.session, self.decoder = session, session.decoder
+        self.session = session
+        self.decoder: Decoder = session.decoder
         decoder, options = session.decoder, session.options.decoder
-        self.context, self.trim, self.imu = decoder.context, decoder.trim, decoder.inertial
-        self.mag, self.baro, self.heading = decoder.mag, decoder.baro, decoder.heading
-        self.position, self.fixes = decoder.position, decoder.fixes
-        self.newest = session.past.newest
-        self.imu_id, self.heading_std = options.imu_id, options.heading_std
-        self.clock, self.is_idle = decoder.clock, False
-        self.our_system, self.our_component = session.outbox.ids
+        self.context: Context = decoder.context
+        self.trim: Trim = decoder.trim
+        self.imu: Inertial = decoder.inertial
+        self.mag: FieldState = decoder.mag
+        self.baro: PressureState = decoder.baro
+        self.heading: Heading = decoder.heading
+        self.fixes: Fixes = decoder.fixes
+        self.position = decoder.position
+        self.newest: dict[int, int] = session.past.newest
+        self.imu_id: int = options.imu_id
+        self.heading_std: float = options.heading_std
+        self.clock: TimeBase = decoder.clock
+        self.is_idle = False
+        self.our_system: int = session.outbox.ids[0]
+        self.our_component: int = session.outbox.ids[1]
         # One payload, which each message overlays
         self.payload = payload = np.zeros(_ROOM, dtype=np.uint8)
-        self.sample, self.attitude = _overlay(payload, "HIGHRES_IMU"), _overlay(payload, "ATTITUDE")
-        self.fix = _overlay(payload, "GPS_RAW_INT")
-        self.place = _overlay(payload, "GLOBAL_POSITION_INT")
-        self.timesync = _overlay(payload, "TIMESYNC")
+        self.sample: Column[record.HighresImu] = _overlay(payload, "HIGHRES_IMU")
+        self.attitude: Column[record.Attitude] = _overlay(payload, "ATTITUDE")
+        self.fix: Column[record.GpsRawInt] = _overlay(payload, "GPS_RAW_INT")
+        self.place: Column[record.GlobalPositionInt] = _overlay(payload, "GLOBAL_POSITION_INT")
+        self.timesync: Column[record.Timesync] = _overlay(payload, "TIMESYNC")
         self.own = EventBuffer(1)
         self._use(self.own)
 
     def _use(self, buffer: EventBuffer) -> None:
         """Write rows into a buffer."""
-        self.buffer, self.n, self.limit = buffer, buffer.size, buffer.limit
-        self.out_t, self.out_kind, self.out = buffer.t_ns, buffer.kind, buffer.values
+        self.buffer = buffer
+        self.n: int = buffer.size
+        self.limit: int = buffer.limit
+        self.out_t: Column[np.int64] = buffer.t_ns
+        self.out_kind: Column[np.int64] = buffer.kind
+        self.out: Table[np.float64] = buffer.values
 
     def _begin_row(self, t_ns: int, kind: int) -> int:
         """Begin a row of zeros; return its number."""

@@ -58,23 +58,15 @@ def kinds_of(session: Session) -> npt.NDArray[np.int8]:
 class Reader(PayloadReader):
     """Reads frames for one session, as far as it can."""
 
-    numbers: Sequence
-    piece: bytes
-    data: cython.p_const_uchar
-    start: Column[np.int64]
-    end: Column[np.int64]
-    stamp_us: Column[np.int64]
-    message_id: Column[np.int32]
-    kinds: Column[np.int8]
-    is_open: bool
-    is_yielding: bool
     peer_system: int
     peer_component: int
 
     def __init__(self, session: Session) -> None:
         """Begin without frames."""
         super().__init__(session)
-        self.numbers, self.kinds, self.changes = session.sequence, kinds_of(session), -1
+        self.numbers: Sequence = session.sequence
+        self.kinds: Column[np.int8] = kinds_of(session)
+        self.changes = -1
         self.received = np.zeros(len(self.kinds), dtype=np.int64)
 
     # A log: many frames, as many rows as the buffer takes
@@ -82,8 +74,11 @@ class Reader(PayloadReader):
     def open(self, frames: Frames) -> None:
         """Take the next frames; all before have been read."""
         self.close()
-        self.frames, self.start, self.end = frames, frames.start, frames.end
-        self.message_id, self.stamp_us = frames.message_id, frames.stamp_us
+        self.frames = frames
+        self.start: Column[np.int64] = frames.start
+        self.end: Column[np.int64] = frames.end
+        self.message_id: Column[np.int32] = frames.message_id
+        self.stamp_us: Column[np.int64] = frames.stamp_us
 
     def close(self) -> None:
         """Leave all that is known to the session."""
@@ -150,7 +145,8 @@ class Reader(PayloadReader):
 
     def _look_at(self, piece: bytes) -> None:
         """Read the frames that lie in these bytes."""
-        self.piece, self.data = piece, piece
+        self.piece: bytes = piece
+        self.data: cython.p_const_uchar = piece
 
     def _is_from(self, place: int, system: int, component: int) -> bool:
         """Return whether these ids stand at a place."""
@@ -221,11 +217,11 @@ class Reader(PayloadReader):
         session = self.session
         self.changes, self.sender = session.changes, session.autopilot_sender
         self.clock, self.is_idle = self.context.clock, session.timesync.is_idle
-        self.is_yielding = session.clash.is_yielding
+        self.is_yielding: bool = session.clash.is_yielding
         peer, ours = session.discovery.peer, session.outbox.ids
         self.peer_system, self.peer_component = peer or (-1, -1)
         self.our_system, self.our_component = ours
-        self.is_open = (
+        self.is_open: bool = (
             peer is not None
             and peer != ours
             and session.splitter.is_empty

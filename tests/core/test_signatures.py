@@ -7,8 +7,6 @@ import pytest
 from ekf_companion.core.memory.signatures import compiled_modules, path_of, signatures
 
 SOURCE = """
-from __future__ import annotations
-import numpy as np
 from cython.cimports.ekf_companion.core.memory.scratch import Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.memory.overlay import as_states
@@ -80,10 +78,18 @@ def test_a_header_says_in_c_what_the_source_says():
     assert signatures("core.queue", SOURCE) == HEADER
 
 
-def test_out_of_the_kernel_all_functions_need_the_interpreter():
-    source = "def far(a: float) -> float: ...\ndef _near(a: float) -> None: ..."
-    lines = signatures("nav.near", source).splitlines()[1:]
-    assert lines == ["cpdef double far(double a)", "cdef object _near(double a)"]
+def test_out_of_the_kernel_what_handles_an_object_may_raise():
+    functions = {
+        "def far(a: float) -> float: ...": "cpdef double far(double a)",
+        "def _near(a: float) -> None: print(a)": "cdef object _near(double a)",
+        "def _at(a: Column[np.int8]) -> float: return a[0]": (
+            "cdef double _at(cython.schar[::1] a) noexcept"
+        ),
+        "def _is_at(a: float) -> bool: return a in PLACES": "cdef bint _is_at(double a)",
+        "def _is_near(a: float) -> bool: return _is_at(a)": "cdef bint _is_near(double a)",
+    }
+    header = signatures("nav.near", "\n".join(functions))
+    assert header.splitlines()[2:] == [*functions.values()]
 
 
 @pytest.mark.parametrize("name", compiled_modules())

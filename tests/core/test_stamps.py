@@ -37,7 +37,7 @@ def test_events_stay_in_the_order_of_their_arrival(some):
     for step in some:
         if not isinstance(step, int):
             t_ns, kind, first, result = step
-            is_taken = stamps.append(held, t_ns, kind, numbers(first), result)
+            is_taken = stamps.add(held, t_ns, kind, numbers(first), result)
             assert is_taken == (len(expected) < CAPACITY)
             if is_taken:
                 expected.append(step)
@@ -50,17 +50,17 @@ def test_events_stay_in_the_order_of_their_arrival(some):
 def test_a_full_list_takes_no_more_until_one_is_removed():
     stamps = load().stamps
     held = stamps.Held(2)
-    assert stamps.append(held, 1, 0, numbers(1), 0)
-    assert stamps.append(held, 2, 0, numbers(2), 0)
-    assert not stamps.append(held, 3, 0, numbers(3), 0)
+    assert stamps.add(held, 1, 0, numbers(1), 0)
+    assert stamps.add(held, 2, 0, numbers(2), 0)
+    assert not stamps.add(held, 3, 0, numbers(3), 0)
     stamps.remove(held, 0)
-    assert stamps.append(held, 4, 0, numbers(4), 0)
+    assert stamps.add(held, 4, 0, numbers(4), 0)
     assert held.t_ns.tolist() == [2, 4]
 
 
 def test_the_values_of_an_event_are_copied():
     stamps = load().stamps
     held, values = stamps.Held(1), numbers(7)
-    stamps.append(held, 1, 0, values, 0)
+    stamps.add(held, 1, 0, values, 0)
     values[:] = 0.0
     np.testing.assert_array_equal(held.values[0], numbers(7))

@@ -10,6 +10,7 @@
 - In ``core`` a function that takes and returns none of Python's objects is C's alone, unless it is
   a method without an underscore. It runs without the interpreter, but where it makes an array or an
   object; it cannot raise, unless it calls a method that makes one.
+  Elsewhere one that handles numbers and arrays alone cannot raise.
 - An attribute is what it is annotated with, or else its first value. Python sees it if it has no
   underscore and is no memory.
 - A local variable that is annotated is that. A number in capitals is C's alone if it is imported
@@ -26,7 +27,6 @@ from pathlib import Path
 
 CORE = Path(__file__).parent.parent
 PACKAGE = CORE.parent
-MARK = "# Made from {} by setup.py"
 CIMPORTS = "cython.cimports."
 OURS = f"{PACKAGE.name}."
 READERS = {
@@ -70,8 +70,8 @@ def kernel_modules() -> list[str]:
 def compiled_modules() -> list[str]:
     """Return all modules that are compiled, as far as their sources are here."""
     others = [f"{room}.{name}" for room, names in READERS.items() for name in names]
-    found = [name for name in others if path_of(name).exists()]
-    return [*(f"core.{name}" for name in kernel_modules()), *found]
+    names = [*(f"core.{name}" for name in kernel_modules()), *others]
+    return [name for name in names if path_of(name).exists()]
 
 
 def path_of(name: str) -> Path:
@@ -98,6 +98,7 @@ class _Module:
     def __init__(self, name: str, text: str) -> None:
         self.name, self.body = name, ast.parse(text).body
         room, _, last = name.rpartition(".")
+        self.is_kernel = name.startswith("core.")
         self.is_compiled = last in READERS.get(room, ()) or f"\nfrom {CIMPORTS}" in text
         self.classes = {one.name: one for one in self.body if isinstance(one, ast.ClassDef)}
         self.origin: dict[str, str] = {}
@@ -106,6 +107,8 @@ class _Module:
         self.numbers["__builtins__"] = {"float": float, "range": range}
         """What is assigned, as far as it is written out."""
         self.known = {*dir(builtins), *self.classes, "cython"}
+        self.native = {"self", "cython", *("range", "len", "abs", "min", "max"), *NUMBERS}
+        """Names that are no objects in C."""
         for node in self.body:
             if isinstance(node, ast.ImportFrom):
                 module = str(node.module).replace(OURS, "", 1)
@@ -116,6 +119,7 @@ class _Module:
                 self.known |= {ast.unparse(target) for target in node.targets}
                 if isinstance(node.value, ast.Call) and "cython.declare" in ast.unparse(node):
                     node.value = node.value.args[-1]
+                    self.native |= {ast.unparse(target) for target in node.targets}
                 with suppress(NameError, AttributeError):
                     exec(compile(ast.Module([node], []), name, "exec"), self.numbers)
         self.known |= {*self.origin}
@@ -140,13 +144,16 @@ class _Module:
     def header(self) -> str:
         """Return the header."""
         lines = [*self._numbers()]
+        self.native |= {name for name, one in self.origin.items() if one.startswith(CIMPORTS)}
+        self.native |= {line.split(" ")[-1] for line in lines}
+        raising = self._raising(_functions(self), {})
         for node in self.body:
             if isinstance(node, ast.ClassDef):
                 is_native = self.compiled(node.name) == (self, node.name)
                 lines += self._class(node) if is_native else ()
             elif isinstance(node, ast.FunctionDef):
-                lines += self._function(node, "", set())
-        head = [MARK.format(self.name)]
+                lines += self._function(node, "", raising)
+        head = [f"# Made from {self.name} by setup.py"]
         head += ["cimport cython"] if any("cython." in line for line in lines) else []
         for module in sorted({one for one, _ in self.needs} - {self.name}):
             names = ", ".join(sorted(name for one, name in self.needs if one == module))
@@ -170,11 +177,9 @@ class _Module:
             is_memory = any(mark in kind for mark in ("*", "[:", "][", "cython.p_"))
             is_hidden = name.startswith("_") or is_memory or self._is_struct(kind[:-3])
             yield f"    cdef {'' if is_hidden else 'public '}{kind.format(name)}"
-        methods = _functions(node)
-        raising = {one.name for one in methods if self._makes_object(one)}
-        while more := {one.name for one in methods if _called(one) & raising} - raising:
-            raising |= more
-        lines = [line for one in methods for line in self._function(one, node.name, raising)]
+        raising = self._raising(_functions(node), self._inherited(node) | kinds)
+        parts = [self._function(one, node.name, raising) for one in _functions(node)]
+        lines = [line for part in parts for line in part]
         yield from (f"    {line}" for line in lines or ([] if kinds else ["pass"]))
 
     def attributes(self, node: ast.ClassDef) -> dict[str, str]:
@@ -191,10 +196,16 @@ class _Module:
                 for name, first in _assigned(part):
                     if name not in firsts:
                         firsts[name] = self._value(first, method)
+        inherited = self._inherited(node)
+        return {name: kind for name, kind in (firsts | said).items() if name not in inherited}
+
+    def _inherited(self, node: ast.ClassDef) -> dict[str, str]:
+        found: dict[str, str] = {}
         for base in (self.compiled(ast.unparse(one)) for one in node.bases):
-            for name in base[0].attributes(base[0].classes[base[1]]) if base else ():
-                firsts.pop(name, None)
-        return firsts | said
+            if base:
+                inside = base[0].classes[base[1]]
+                found |= base[0].attributes(inside) | base[0]._inherited(inside)
+        return found
 
     def _value(self, value: ast.expr, method: ast.FunctionDef) -> str:
         """Return what an attribute is in C whose first value this is."""
@@ -219,16 +230,14 @@ class _Module:
                 shape = SHAPES["Table" if isinstance(value.args[0], ast.Tuple) else "Column"]
                 item = ELEMENTS[kinds[0].removeprefix("np.") if kinds else "float64"]
                 return f"cython.{item}[{shape}] {{}}"
-            case ast.Call(func=ast.Name(id=name)):
+            case ast.Call(func=ast.Name(id=name) as kind):
                 if self.module_of(name) == OVERLAY and (overlay := _read(OVERLAY)):
                     (laid,) = (one for one in _functions(overlay) if one.name == name)
                     struct = ast.unparse(laid.returns or laid)
                     self.needs.add((overlay.module_of(struct), struct))
                     return f"{struct} *{{}}"
-                if self.compiled(name) or name in NUMBERS:
-                    return self._type(value.func, method.name)
-                if self._is_struct(name):
-                    return self._type(value.func, method.name).replace("*", "")
+                if self.compiled(name) or name in NUMBERS or self._is_struct(name):
+                    return self._type(kind, method.name).replace("*", "")
         return OBJECT
 
     def _function(self, node: ast.FunctionDef, owner: str, raising: set[str]) -> Iterator[str]:
@@ -239,8 +248,9 @@ class _Module:
         args = node.args.args[1:] if owner else node.args.args
         kinds = [self._type(arg.annotation, f"{where}, {arg.arg}") for arg in args]
         returned = self._type(node.returns, f"{where}, returned")
-        words = [kind.split(" ")[0] for kind in (*kinds, returned)]
-        is_native = self.name.startswith("core.") and not {*words} & {"object", *PYTHONS}
+        words = {kind.split(" ")[0] for kind in (*kinds, returned)}
+        has_objects = bool(words & {"object", *PYTHONS})
+        is_native = self.is_kernel and not has_objects
         is_cdef = node.name.startswith("_") or (is_native and not owner)
         is_cdef |= any((MESSAGES, word) in self.needs for word in words)
         ending = ""
@@ -249,6 +259,8 @@ class _Module:
             ending += " with gil" if self._makes_object(node) else " nogil"
             if returned == VOID and node.name in raising:
                 returned = "int {}"
+        elif is_cdef and not has_objects and node.name not in raising:
+            ending = " noexcept"
         elif returned == VOID:
             returned = OBJECT
         passed = [kind.format(arg.arg) for kind, arg in zip(kinds, args, strict=True)]
@@ -291,8 +303,7 @@ class _Module:
                 return self._type(hint.value, where)
         name = ast.unparse(hint)
         module = self.module_of(name)
-        if name == "Square":
-            self.needs.add(("core.memory.enums", "N"))
+        self.needs |= {("core.memory.enums", "N")} if name == "Square" else set()
         if module.startswith("core.memory."):
             self.needs.add((module, name))
         if name in PASSED:
@@ -306,10 +317,38 @@ class _Module:
             return f"{found[1]} {{}}"
         return OBJECT
 
-    def _makes_object(self, node: ast.FunctionDef) -> bool:
+    def _raising(self, functions: list[ast.FunctionDef], kinds: dict[str, str]) -> set[str]:
+        """Return which functions may raise: those that handle objects, and those that call them."""
+        ours = {one.name for one in functions if _is_callable(one)}
+        has = self._makes_object if self.is_kernel else self._has_object
+        raising = {one.name for one in functions if has(one, ours, kinds)}
+        while more := {one.name for one in functions if _called(one) & raising} - raising:
+            raising |= more
+        return raising
+
+    def _has_object(self, node: ast.FunctionDef, ours: set[str], kinds: dict[str, str]) -> bool:
+        """Return whether a function handles more than numbers and arrays."""
+        known = self.native | ours | {arg.arg for arg in node.args.args}
+        for one in (one for part in node.body for one in ast.walk(part)):
+            match one:
+                case ast.Name(id=name, ctx=ast.Store()):
+                    known.add(name)
+                case ast.Name(id=name) if name not in known:
+                    return True
+                case ast.Attribute(value=ast.Name(id="self"), attr=name):
+                    kind = kinds.get(name, "")
+                    is_number = "[" in kind or kind.startswith(("cython.", "double", "bint"))
+                    if not is_number and name not in ours:
+                        return True
+                case ast.Attribute(value=ast.Name(id="cython")) | ast.Attribute(attr="shape"):
+                    pass
+                case ast.Attribute():
+                    return True
+        return False
+
+    def _makes_object(self, node: ast.FunctionDef, *_: object) -> bool:
         """Return whether a function makes an array, or an object of a compiled class."""
-        called = [ast.unparse(one.func) for one in ast.walk(node) if isinstance(one, ast.Call)]
-        return any(one.startswith("np.") or self.compiled(one) for one in called)
+        return any(one.startswith("np.") or self.compiled(one) for one in _called(node))
 
     def _is_struct(self, name: str) -> bool:
         return self.module_of(name) in STRUCTS
@@ -324,12 +363,9 @@ def _read(name: str) -> _Module | None:
 
 def _is_callable(node: ast.FunctionDef) -> bool:
     """Return whether C can call a function."""
-    is_free = not (node.args.kwonlyargs or node.args.vararg or node.args.kwarg)
-    generators = (ast.GeneratorExp, ast.Lambda, ast.FunctionDef, ast.Yield)
-    inside = [one for one in ast.walk(node) if one is not node]
-    return (
-        is_free and not node.decorator_list and not any(isinstance(i, generators) for i in inside)
-    )
+    args, others = node.args, (ast.GeneratorExp, ast.Lambda, ast.FunctionDef, ast.Yield)
+    is_closed = any(isinstance(one, others) for one in ast.walk(node) if one is not node)
+    return not (is_closed or node.decorator_list or args.kwonlyargs or args.vararg or args.kwarg)
 
 
 def _functions(node: ast.ClassDef | _Module) -> list[ast.FunctionDef]:
@@ -337,8 +373,9 @@ def _functions(node: ast.ClassDef | _Module) -> list[ast.FunctionDef]:
 
 
 def _called(node: ast.FunctionDef) -> set[str]:
-    """Return the methods of its own object that a method calls."""
-    return {_own(one.func) for one in ast.walk(node) if isinstance(one, ast.Call)} - {""}
+    """Return what a function calls of its own module or object."""
+    calls = [one.func for one in ast.walk(node) if isinstance(one, ast.Call)]
+    return {_own(one) or ast.unparse(one) for one in calls}
 
 
 def _own(target: ast.expr) -> str:

@@ -19,7 +19,7 @@ class Held:
         self.values = np.zeros((capacity, VALUES))
 
 
-def append(held: Held, t_ns: int, kind: int, values: Numbers, result: int) -> bool:
+def add(held: Held, t_ns: int, kind: int, values: Numbers, result: int) -> bool:
     """Append an event and what it was counted as; return False if there is no room for it."""
     if held.size == held.capacity:
         return False

@@ -40,7 +40,7 @@ from cython.cimports.ekf_companion.core.memory.state import BLOCK
 from cython.cimports.ekf_companion.core.order import step
 from cython.cimports.ekf_companion.core.order.events import compare, is_sane
 from cython.cimports.ekf_companion.core.order.restart import is_sound, recover
-from cython.cimports.ekf_companion.core.order.stamps import Held, append, remove
+from cython.cimports.ekf_companion.core.order.stamps import Held, add, remove
 from cython.cimports.ekf_companion.core.output.estimate import (
     find_reasons,
     late_fix,
@@ -334,9 +334,7 @@ class Timeline:
             self._trim()
         is_stale = self.newest >= 0.0 and (t < self.newest - self.window or t <= self.oldest)
         if kind != enums.KIND_IMU:
-            if self.behind.size > 0 and append(
-                self.behind, t_ns, kind, values, enums.ARRIVAL_TAKEN
-            ):
+            if self.behind.size > 0 and add(self.behind, t_ns, kind, values, enums.ARRIVAL_TAKEN):
                 return enums.ARRIVAL_TAKEN
             return enums.ARRIVAL_STALE if is_stale else self._fit(t_ns, t, kind, values)
 
@@ -447,7 +445,7 @@ class Timeline:
     def _hold(self, t_ns: int, values: Numbers) -> int:
         """Let a sample whose stamp leaps ahead wait."""
         self.is_leaping = True
-        if not append(self.ahead, t_ns, enums.KIND_IMU, values, enums.ARRIVAL_HELD):
+        if not add(self.ahead, t_ns, enums.KIND_IMU, values, enums.ARRIVAL_HELD):
             return enums.ARRIVAL_STRAY
         return enums.ARRIVAL_HELD
 
@@ -510,7 +508,7 @@ class Timeline:
         if self.behind.size > 0 and not 0.0 < step <= self.reach - self.newest:
             self._flush()
         result = enums.ARRIVAL_STALE if is_stale else enums.ARRIVAL_TAKEN
-        if not append(self.behind, t_ns, enums.KIND_IMU, values, result):
+        if not add(self.behind, t_ns, enums.KIND_IMU, values, result):
             self._flush()
             return result if is_stale else self._fit(t_ns, t, enums.KIND_IMU, values)
         if self.behind.size > 1 and step < self.interval:
