@@ -3,7 +3,7 @@ PYTHON ?= python3
 SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
-KERNEL := setup.py ekf_companion/core/memory/overlay.pxd \
+KERNEL := setup.py ekf_companion/core/memory/overlay.pxd ekf_companion/mavlink/definitions.txt \
 	$(wildcard $(patsubst %,ekf_companion/%/*.py,core core/* logs mavlink mavlink/decode nav))
 STAMP := $(VENV)/.built
 FLYING := $(VENV)/.built-demo
