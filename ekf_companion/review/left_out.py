@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 from ekf_companion.nav.held_heading import REPEATED
 from ekf_companion.nav.held_heading import ZERO as ZERO_HEADING
-from ekf_companion.nav.held_velocity import ALWAYS_ZERO, HELD
+from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
 from ekf_companion.replay.screen import NO_FIELD, NO_PLACE, Screen
 
-VELOCITIES = (ALWAYS_ZERO, HELD, REPEATED_VELOCITY)
+VELOCITIES = (ALWAYS_ZERO, COURSE_HELD, HELD, REPEATED_VELOCITY)
 VERTICAL_ZERO, VERTICAL_HELD = f"vertical {ALWAYS_ZERO}", f"vertical {HELD}"
 OFTEN = 0.2
 """Share of a sensor's measurements beyond which its verdict names it."""
@@ -39,6 +39,8 @@ _NOTES = {
     "it is held, and was not used",
     REPEATED_VELOCITY: "the velocity of {} of {} {} is that of the one before to the bit: it is "
     "held between updates, and was not used",
+    COURSE_HELD: "the velocity of {} of {} {} has the course of the ones before to the bit: at low "
+    "speed the receiver holds it, and it was not used",
     VERTICAL_ZERO: "the vertical velocity of {} of {} {} is 0 while the heights move: it is none, "
     "and was not used",
     VERTICAL_HELD: "the vertical velocity of {} of {} {} repeats the one before while the heights "

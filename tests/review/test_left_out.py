@@ -5,7 +5,7 @@ import pytest
 
 from ekf_companion.errors import LogError
 from ekf_companion.nav.held_heading import REPEATED
-from ekf_companion.nav.held_velocity import ALWAYS_ZERO, HELD
+from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD, MOVING, HeldVelocities
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
@@ -17,9 +17,12 @@ from tests.rows import BOOT_NS, FORMATS, UTC_ZERO_US, Rows, convert, write
 
 TABLES = ("csv", "bin", "ulg")
 RECEIVERS = ("bin", "ulg")
+BY_COURSE = tuple(kind for kind in FORMATS if kind not in ("csv", "ulg"))
+"""Formats that have speed and course; the others hold a vector."""
 WEEK_US = 604_800_000_000
 
 FLIGHT = Rows.plan()
+HOVER = Rows.plan("hover")
 
 in_every_format = pytest.mark.parametrize("kind", FORMATS)
 
@@ -197,6 +200,33 @@ def test_a_velocity_that_is_held_between_updates_counts_once(rows, kind, tmp_pat
     found = convert(rows, kind, tmp_path)
     assert left_out(found)[REPEATED_VELOCITY] > 120
     assert worst(found.distance, found, 20.0) < 3.0
+
+
+@pytest.mark.parametrize("kind", BY_COURSE)
+def test_a_velocity_whose_course_is_held_at_low_speed_is_left_out(kind, tmp_path):
+    """A hover that wanders at 0.8 m/s: its velocity pointed back half of the time."""
+    rows = HOVER.copy()
+    speed = np.hypot(*rows.fix[:, 3:5].T)
+    course = np.arctan2(rows.fix[:, 4], rows.fix[:, 3])
+    is_held = (rows.fix_since > 20.0) & (rows.fix_since < 55.0)
+    course[is_held] = course[is_held][0]
+    rows.fix[:, 3:5] = np.stack([speed * np.cos(course), speed * np.sin(course)], axis=1)
+    found = convert(rows, kind, tmp_path)
+    # in a message speeds are in cm/s
+    assert left_out(found)[COURSE_HELD] >= np.count_nonzero(speed[is_held][2:] > MOVING + 0.01)
+    assert worst(found.distance, found, 20.0) < 2.0
+
+
+def test_a_course_that_repeats_once_or_at_speed_may_be_chance():
+    courses = [0.1, 0.5, 0.5, 0.9, 1.2, 1.2, 1.2]
+    for speed, held in ((1.0, [6]), (3.0, []), (0.2, [])):
+        judge = HeldVelocities()
+        why = []
+        for i, course in enumerate(courses):
+            v = speed + 0.001 * i
+            vel = (v * np.cos(course), v * np.sin(course), None)
+            why.append(judge.judge(i * 200_000_000, (0.8, 0.1 + 1e-7 * i, 500.0), vel, 1.0, 1.5)[0])
+        assert [i for i, one in enumerate(why) if one == COURSE_HELD] == held
 
 
 @in_every_format
