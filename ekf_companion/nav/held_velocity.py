@@ -30,7 +30,9 @@ ALWAYS_ZERO = "velocity always 0"
 HELD = "velocity held"
 REPEATED = "velocity repeated"
 COURSE_HELD = "course held"
-"""Why a velocity was not measured; the last two refuse single fixes."""
+"""Why a velocity was not measured."""
+SINGLE = (REPEATED, COURSE_HELD)
+"""Those that say it of single fixes, and nothing of the receiver's settings."""
 MOVING = 0.3
 """m/s: faster, a velocity with noise does not repeat to the bit for ``TWICE`` in a row. In cm/s a
 single repetition is chance: 9 of 5015 fixes in three of 60 logs; two in a row came in none."""

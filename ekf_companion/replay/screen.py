@@ -13,8 +13,7 @@ import numpy as np
 from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.held_heading import HeldHeading
-from ekf_companion.nav.held_velocity import COURSE_HELD, HELD, HeldVelocities
-from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
+from ekf_companion.nav.held_velocity import HELD, SINGLE, HeldVelocities
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
 from ekf_companion.nav.repetition import Repetition
 
@@ -138,9 +137,7 @@ class Screen:
             whys = judge.judge(t_ns, place, (north, east, down), std_h, std_v)
             numbers[n] = judge.horizontal.number, judge.vertical.number
             for part, why in enumerate(whys):
-                if why in (COURSE_HELD, REPEATED_VELOCITY) or (
-                    why == HELD and part == 0 and numbers[n, 0] > 1
-                ):
+                if why in SINGLE or (why == HELD and part == 0 and numbers[n, 0] > 1):
                     single.append((n, part, why))
                 elif why is not None:
                     whole[part, int(numbers[n, part])] = why

@@ -155,6 +155,14 @@ def test_an_earlier_state_takes_the_place_of_an_unsound_one():
     assert (x.resets, x.reset_reason, x.needs_reset) == (3.0, Reset.BOUNDS, 0.0)
 
 
+def test_a_state_of_before_navigation_is_none_of_navigation():
+    x, good = spoilt(), flown()
+    good.mode, good.has_yaw = Mode.ATTITUDE, 0.0
+    load().restart.recover(x, parameters(), good, NOW)
+    # a position that the earlier state does not have is not navigated from
+    assert (x.mode, x.has_yaw) == (Mode.ATTITUDE, 0.0)
+
+
 def test_the_older_the_state_the_less_is_known_of_it():
     found = []
     for age in (0.1, 0.3):

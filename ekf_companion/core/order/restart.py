@@ -127,6 +127,8 @@ def recover(x: State, k: Parameters, good: State, t: float) -> None:
         x.restored_t = t
         return
     copy_nominal(x, good)
+    x.mode = good.mode
+    x.has_yaw = good.has_yaw
     for aid in range(AIDS):
         x.has_aid[aid] = good.has_aid[aid]
     forget_pending(x)

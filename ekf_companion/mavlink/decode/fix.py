@@ -20,7 +20,7 @@ from ekf_companion.mavlink.stamp import Stamp
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.arrays import Column
 from ekf_companion.nav.held_heading import HeldHeading
-from ekf_companion.nav.held_velocity import COURSE_HELD, REPEATED, HeldVelocities
+from ekf_companion.nav.held_velocity import SINGLE, HeldVelocities
 from ekf_companion.nav.measurements import (
     SILENT_NS,
     GnssFix,
@@ -243,7 +243,7 @@ class Fixes:
     def _note_velocity(self, message: str, why: str) -> None:
         """Count a velocity that was not measured, and tell a human where there may be none."""
         self._context.refused[f"{message}: {why}"] += 1
-        if why not in (COURSE_HELD, REPEATED):
+        if why not in SINGLE:
             self._context.note_once(
                 f"{message}: the velocity says the same again and again while the "
                 "positions move otherwise, so it is not used; check the receiver's settings"
