@@ -1,0 +1,1 @@
+"""Lidar-inertial odometry: scans to relative poses with their covariance."""
