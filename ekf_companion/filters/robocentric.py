@@ -6,7 +6,7 @@ to be n, the first 15 are the ordinary error state; if r is moved to the body af
 filter is robocentric.
 
 A direction is a unit vector on the sphere; it is changed by two angles about the axes of
-:func:`basis`, which are normal to it.
+:func:`ekf_companion.nav.direction.basis`, which are normal to it.
 
 Source: Qin et al. 2020, "LINS: a lidar-inertial state estimator for robust and efficient
 navigation", arXiv 1907.02233, section IV; Bloesch et al. 2017, "Iterated extended Kalman filter
@@ -16,7 +16,6 @@ based visual-inertial odometry using direct photometric feedback"; He, Xu, Zhang
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -34,12 +33,16 @@ from ekf_companion.filters.strapdown import (
 )
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
-from ekf_companion.nav.so3 import cross, skew
+from ekf_companion.nav.direction import (
+    direction_by_angles,
+    direction_jacobian,
+    direction_minus,
+    direction_plus,
+)
+from ekf_companion.nav.so3 import skew
 
 FRAME_ATT, FRAME_POS, DOWN = slice(15, 18), slice(18, 21), slice(21, 23)
 FULL = 23
-_SMALL = 1e-4
-"""Angle below which the coefficients are their series, rad: the next terms are 1e-10 of them."""
 
 
 def _identity() -> Array:
@@ -144,48 +147,3 @@ class RobocentricState:
         Phi[VEL] += dt * fall
         Phi[POS] += 0.5 * dt * dt * fall
         return replace(self, local=integrate_strapdown(self.local, over, earth_r)), Phi
-
-
-def basis(direction: Array) -> Array:
-    """Return two axes normal to a direction and to each other, shape (3, 2)."""
-    x, y, z = direction.tolist()
-    # Duff et al. 2017, JCGT 6(1): no direction is singular
-    sign = math.copysign(1.0, z)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return np.array([[1.0 + sign * x * x * a, b], [sign * b, sign + y * y * a], [-sign * x, -y]])
-
-
-def direction_plus(direction: Array, u: Array) -> Array:
-    """Rotate a direction by two angles (rad, shape (2,)) about the axes of its basis."""
-    there = so3.rotate(so3.exp(basis(direction) @ u), direction)
-    return np.asarray(there / math.sqrt(float(there @ there)))
-
-
-def direction_minus(to: Array, start: Array) -> Array:
-    """Return the two angles that rotate one direction into another the shorter way, rad."""
-    return np.asarray(basis(start).T @ (_ratio(to, start)[0] * cross(start, to)))
-
-
-def direction_by_angles(direction: Array) -> Array:
-    """Return the derivative of :func:`direction_plus` by the angles at 0, shape (3, 2)."""
-    return np.asarray(-skew(direction) @ basis(direction))
-
-
-def direction_jacobian(to: Array, start: Array) -> Array:
-    """Return the derivative of (to plus u) minus start by u at 0, shape (2, 2)."""
-    ratio, slope = _ratio(to, start)
-    by_to = ratio * skew(start) + slope * np.outer(cross(start, to), start)
-    return np.asarray(basis(start).T @ by_to @ direction_by_angles(to))
-
-
-def _ratio(to: Array, start: Array) -> tuple[float, float]:
-    """Return angle / sin(angle) between two directions, and its derivative by the cosine."""
-    axis = cross(start, to)
-    sine, cosine = math.sqrt(float(axis @ axis)), float(start @ to)
-    angle = math.atan2(sine, cosine)
-    if angle < _SMALL:
-        return 1.0, -1.0 / 3.0
-    # Opposite directions have no shorter way: any is as good
-    sine = max(sine, 1e-12)
-    return angle / sine, -(sine - angle * cosine) / sine**3

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.filters.robocentric import (
+from ekf_companion.nav.direction import (
     basis,
     direction_by_angles,
     direction_jacobian,

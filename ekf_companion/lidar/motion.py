@@ -1,0 +1,235 @@
+"""Motion between two scans from the inertial samples, and its covariance.
+
+Between two samples the mean of both is integrated. A sample at the end of its range, and a step
+without samples, widen the noise: what happened there is not known.
+
+Source: Forster et al. 2017, "On-manifold preintegration", arXiv 1512.02363 (discrete strapdown);
+the covariance by the derivatives of these equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ekf_companion.lidar.recording import InertialSamples
+from ekf_companion.lidar.settings import Settings
+from ekf_companion.lidar.state import (
+    ACCEL_BIAS,
+    ATT,
+    DELAY,
+    DOWN,
+    GYRO_BIAS,
+    POS,
+    VEL,
+    N,
+    State,
+    exp,
+)
+from ekf_companion.nav.arrays import Array, Mask
+from ekf_companion.nav.direction import direction_by_angles
+from ekf_companion.nav.so3 import skew
+
+CLIPPED_RATE, CLIPPED_FORCE = 0.05, 2.0
+"""Variance that a sample at the end of its range adds, rad^2/s and m^2/s^3: as the kernel's."""
+LEAST_RATE_RANGE, LEAST_FORCE_RANGE = 0.5, 11.5
+"""No sensor has a smaller range, rad/s and m/s^2: as the kernel's."""
+GAP = 3.0
+"""Multiple of the usual step from which on a step is a gap."""
+GAP_RATE, GAP_FORCE, MOTION_TIME = 0.5, 6.7, 0.4
+"""A vehicle's motion in a gap, rad/s and m/s^2, and its correlation time, s: as the kernel's."""
+TOGETHER = 5
+"""Samples of one step of the covariance."""
+SCALE_TIME = 0.1
+"""Time over which an error of scale acts before the lidar corrects it, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Inertial samples, with what is wrong with them."""
+
+    stamp: Array
+    gyro: Array
+    accel: Array
+    is_clipped: Mask
+    """Shape (n, 6): at the end of its range; gyro first."""
+    step: float
+    """Usual time between samples, s."""
+
+
+def prepare(inertial: InertialSamples) -> Samples:
+    """Find the samples that are at the end of their range."""
+    both = np.hstack([inertial.gyro, inertial.accel])
+    is_clipped = np.zeros(both.shape, dtype=np.bool_)
+    least = np.repeat([LEAST_RATE_RANGE, LEAST_FORCE_RANGE], 3)
+    for axis in range(6):
+        size = np.abs(both[:, axis])
+        if len(size) and (top := size.max()) > least[axis]:
+            is_top = size >= top * (1.0 - 1e-4)
+            # Noise does not give its largest value twice in a row
+            is_clipped[1:, axis] = is_top[1:] & is_top[:-1]
+            is_clipped[:-1, axis] |= is_clipped[1:, axis]
+    step = float(np.median(np.diff(inertial.stamp))) if len(inertial.stamp) > 1 else 0.005
+    return Samples(inertial.stamp, inertial.gyro, inertial.accel, is_clipped, step)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Poses of the body over one scan interval, and the covariance of the motion."""
+
+    stamp: Array
+    """s, inertial clock, shape (m,), from the first to the last time."""
+    C_wb: Array
+    """Shape (m, 3, 3)."""
+    pos_w: Array
+    """Shape (m, 3)."""
+    vel_w: Array
+    """Shape (m, 3)."""
+    rate_b: Array
+    """Without the bias, rad/s, of each step, shape (m - 1, 3)."""
+    accel_w: Array
+    """Of each step, m/s^2, shape (m - 1, 3)."""
+    clipped: int
+    """Number of samples at the end of a range."""
+    lost: float
+    """Time without samples, s."""
+
+    def at(self, stamp: Array) -> tuple[Array, Array]:
+        """Return attitude and position at times within the path, (n, 3, 3) and (n, 3)."""
+        k = np.clip(np.searchsorted(self.stamp, stamp, side="right") - 1, 0, len(self.rate_b) - 1)
+        dt = (stamp - self.stamp[k])[:, None]
+        C = self.C_wb[k] @ exp(self.rate_b[k] * dt)
+        return C, self.pos_w[k] + dt * (self.vel_w[k] + 0.5 * dt * self.accel_w[k])
+
+
+def propagate(
+    x: State, samples: Samples, start: float, end: float, settings: Settings
+) -> tuple[State, Array, Array, Path]:
+    """Integrate from one time to another on the inertial clock.
+
+    Returns:
+        The state, the derivative of its error state by the one before and the covariance that the
+        motion adds, both of shape (24, 24), and the path.
+    """
+    first, last = np.searchsorted(samples.stamp, [start, end], side="right")
+    inside = samples.stamp[first:last]
+    inside = inside[(inside > start + 1e-7) & (inside < end - 1e-7)]
+    t = np.concatenate([[start], inside, [end]])
+    dt = np.diff(t)
+    middle = 0.5 * (t[1:] + t[:-1])
+    rate, force, is_clipped, span = _means(samples, middle)
+    rate = rate - x.gyro_bias
+    force_b = force - x.accel_bias
+    gravity_w = settings.gravity * x.down_w
+
+    half = exp(0.5 * rate * dt[:, None])
+    C = np.empty((len(t), 3, 3))
+    C[0] = x.C_wb
+    middles = np.empty((len(dt), 3, 3))
+    for k, turn in enumerate(half):
+        middles[k] = C[k] @ turn
+        C[k + 1] = middles[k] @ turn
+    accel_w = np.einsum("kij,kj->ki", middles, force_b) + gravity_w
+    vel = x.vel_w + np.concatenate([np.zeros((1, 3)), np.cumsum(accel_w * dt[:, None], axis=0)])
+    steps = dt[:, None] * (vel[:-1] + 0.5 * dt[:, None] * accel_w)
+    pos = x.pos_w + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+    q = np.tile(settings.densities, (len(dt), 1))
+    q[:, :3] += (settings.inertial_scale * rate) ** 2 * SCALE_TIME
+    change = force_b + middles.transpose(0, 2, 1) @ gravity_w  # without what stays: the bias has it
+    q[:, 3:6] += (settings.inertial_scale * change) ** 2 * SCALE_TIME
+    q[:, :3] += CLIPPED_RATE * is_clipped[:, :3]
+    q[:, 3:6] += CLIPPED_FORCE * is_clipped[:, 3:]
+    is_gap = span > GAP * samples.step
+    if is_gap.any():
+        # A first-order Gauss-Markov motion: its density below, constant over a shorter gap
+        width = 2.0 * np.minimum(span, MOTION_TIME)[is_gap, None]
+        q[is_gap, :3] += np.maximum(GAP_RATE**2, rate[is_gap] ** 2) * width
+        q[is_gap, 3:6] += GAP_FORCE**2 * width
+
+    Phi, Q = np.eye(N), np.zeros((N, N))
+    tilt = settings.gravity * direction_by_angles(x.down_w)
+    for a in range(0, len(dt), TOGETHER):
+        b = min(a + TOGETHER, len(dt))
+        h = t[b] - t[a]
+        if h <= 0.0:
+            continue
+        m = (a + b) // 2
+        weight = dt[a:b] / h
+        F = _transition(weight @ rate[a:b], weight @ force_b[a:b], middles[m], h, tilt)
+        Phi = F @ Phi
+        Q = F @ Q @ F.T + _noise(middles[m], weight @ q[a:b], h)
+    path = Path(
+        t,
+        C,
+        pos,
+        vel,
+        rate,
+        accel_w,
+        int(np.count_nonzero(samples_clipped(samples, start, end))),
+        float(dt[is_gap].sum()),
+    )
+    C_end = C[-1]
+    # Rounding of the products of a whole flight
+    U, _, V = np.linalg.svd(C_end)
+    return x.moved(U @ V, pos[-1], vel[-1]), Phi, Q, path
+
+
+def samples_clipped(samples: Samples, start: float, end: float) -> Mask:
+    """Return which samples between two times are at the end of a range."""
+    first, last = np.searchsorted(samples.stamp, [start, end])
+    return np.asarray(samples.is_clipped[first:last].any(axis=1))
+
+
+def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array]:
+    """Return rate, force, clipped axes and step between samples, at times between samples."""
+    last = len(samples.stamp) - 1
+    after = np.clip(np.searchsorted(samples.stamp, middle), 1, max(last, 1))
+    if last < 1:
+        zeros = np.zeros((len(middle), 3))
+        return zeros, zeros, np.zeros((len(middle), 6)), np.full(len(middle), np.inf)
+    before = after - 1
+    t0, t1 = samples.stamp[before], samples.stamp[after]
+    u = np.clip((middle - t0) / np.maximum(t1 - t0, 1e-9), 0.0, 1.0)[:, None]
+    gyro = (1.0 - u) * samples.gyro[before] + u * samples.gyro[after]
+    accel = (1.0 - u) * samples.accel[before] + u * samples.accel[after]
+    is_clipped = (samples.is_clipped[before] | samples.is_clipped[after]).astype(np.float64)
+    # Before the first and after the last sample there is none to go by
+    outside = np.maximum(t0 - middle, middle - t1)
+    return gyro, accel, is_clipped, np.maximum(t1 - t0, outside)
+
+
+def _transition(rate: Array, force: Array, C: Array, h: float, tilt: Array) -> Array:
+    """Return the derivative of the error state after a step by the one before, (24, 24)."""
+    F = np.eye(N)
+    turn = exp(-rate * h)
+    F[ATT, ATT] = turn
+    F[ATT, GYRO_BIAS] = -h * exp(-0.5 * rate * h)
+    half = exp(0.5 * rate * h)
+    # The attitude before the step, seen at its middle
+    by_att = -C @ skew(force) @ half.T
+    F[VEL, ATT] = h * by_att
+    F[POS, ATT] = 0.5 * h * h * by_att
+    F[VEL, GYRO_BIAS] = 0.5 * h * h * C @ skew(force)
+    F[POS, GYRO_BIAS] = h**3 / 6.0 * C @ skew(force)
+    F[VEL, ACCEL_BIAS] = -h * C
+    F[POS, ACCEL_BIAS] = -0.5 * h * h * C
+    F[VEL, DOWN] = h * tilt
+    F[POS, DOWN] = 0.5 * h * h * tilt
+    F[POS, VEL] = h * np.eye(3)
+    return F
+
+
+def _noise(C: Array, q: Array, h: float) -> Array:
+    """Return the covariance that white noise of variances ``q`` per second adds, (24, 24)."""
+    Q = np.zeros((N, N))
+    Q[ATT, ATT] = np.diag(q[:3] * h)
+    A = (C * q[3:6]) @ C.T
+    Q[VEL, VEL] = h * A
+    Q[POS, VEL] = Q[VEL, POS] = 0.5 * h * h * A
+    Q[POS, POS] = h**3 / 3.0 * A
+    Q[GYRO_BIAS, GYRO_BIAS] = np.diag(q[6:9] * h)
+    Q[ACCEL_BIAS, ACCEL_BIAS] = np.diag(q[9:12] * h)
+    Q[DELAY, DELAY] = 0.0
+    return Q

@@ -1,0 +1,220 @@
+"""Lidar-inertial odometry: the page that leads.
+
+The filter keeps the pose together with anchors, poses of the past that the planes of its local map
+are tied to. A scan measures the pose relative to those; what is not known of an anchor stays
+unknown, so that the covariance of a relative pose and of the pose since the start are both honest.
+With no anchors the map is taken as known: FAST-LIO's form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ekf_companion.lidar import start
+from ekf_companion.lidar.deskew import Deskewed, deskew
+from ekf_companion.lidar.motion import Samples, prepare, propagate
+from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
+from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
+from ekf_companion.lidar.settings import Settings
+from ekf_companion.lidar.state import ATT, POS, POSE, N, State
+from ekf_companion.lidar.update import Anchor, correct
+from ekf_companion.lidar.voxel_map import VoxelMap
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.so3 import skew
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Estimate:
+    """The pose at the end of a scan."""
+
+    stamp: float
+    """s, lidar clock."""
+    state: State
+    P: Array
+    """Of the error state without the anchors, shape (24, 24)."""
+    relative: RelativePose | None
+    """Since the last anchor, where this pose became one."""
+    sums: Sums | None
+    clipped: int
+    lost: float
+    evaluations: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RelativePose:
+    """Pose of the body at one time in the body at another."""
+
+    start: float
+    end: float
+    C: Array
+    pos: Array
+    P: Array
+    """Of position (body at the start) and attitude (rotation vector in the body at the end)."""
+
+
+class Odometry:
+    """Takes scans in the order of their stamps."""
+
+    def __init__(self, inertial: InertialSamples, mounting: Mounting, settings: Settings) -> None:
+        self.settings, self._mounting = settings, mounting
+        self._samples: Samples = prepare(inertial)
+        self.map = VoxelMap(settings)
+        self.anchors: list[Anchor] = []
+        self._waiting: list[Scan] = []
+        self._usage: dict[int, float] = {}
+        self._count = 0
+        self._is_started = False
+        self.x = State()
+        self.P = np.zeros((N, N))
+        self._time = 0.0
+        """Of the state, inertial clock, s."""
+
+    def process(self, scan: Scan) -> list[Estimate]:
+        """Take the next scan; return the new estimates: none before the start is found."""
+        if self._is_started:
+            return [self._step(scan)]
+        self._waiting.append(scan)
+        begun = start.begin(self._waiting, self._samples, self._mounting, self.settings)
+        if begun is None:
+            return []
+        self.x, self.P, self._time = begun.state, begun.P, begun.time
+        self._is_started = True
+        waiting, self._waiting = self._waiting, []
+        return [self._step(one) for one in waiting]
+
+    def _step(self, scan: Scan) -> Estimate:
+        # Carry the state to the end of the scan
+        end_l = scan.stamp + (float(scan.times.max()) if len(scan.times) else 0.0)
+        end = max(end_l + self.x.delay, self._time)
+        x, Phi, Q, path = propagate(self.x, self._samples, self._time, end, self.settings)
+        P = self.P.copy()
+        P[:N] = Phi @ P[:N]
+        P[:, :N] = P[:, :N] @ Phi.T
+        P[:N, :N] += Q
+        self._time = end
+
+        # Each point from where the body was at its time
+        points, times = self._choose(scan)
+        stamp = np.clip(scan.stamp + times + x.delay, path.stamp[0], end)
+        whole = deskew(points, stamp, path, x)
+        some = whole.chosen(thin(points, self.settings.scan_voxel, self.settings.most_points))
+
+        # Compare them with the map
+        has_mounting = bool(self.P[17:24, 17:24].any())
+        update = correct(
+            x,
+            P,
+            lambda x, P: sum_rows(
+                some, x, P, self.map, self.settings, has_mounting=has_mounting
+            ),
+            self.anchors,
+            self.settings.iterations,
+        )
+        self.x, self.P = update.state, update.P
+        if update.sums is not None:
+            for number, share in update.sums.usage.items():
+                self._usage[number] = self._usage.get(number, 0.0) * 0.9 + 0.1 * share
+
+        # Tie the map to a new pose of the past from time to time, and put the points in
+        relative = self._anchor(end_l)
+        self._insert(whole)
+        return Estimate(
+            stamp=end_l,
+            state=self.x,
+            P=self.P[:N, :N],
+            relative=relative,
+            sums=update.sums,
+            clipped=path.clipped,
+            lost=path.lost,
+            evaluations=update.evaluations,
+        )
+
+    def _choose(self, scan: Scan) -> tuple[Array, Array]:
+        """Return the points within range, and their times."""
+        square = np.einsum("ni,ni->n", scan.points, scan.points)
+        s = self.settings
+        kept = (square > s.least_range**2) & (square < s.most_range**2)
+        return scan.points[kept], scan.times[kept]
+
+    def _insert(self, scan: Deskewed) -> None:
+        """Put the points of a scan into the map."""
+        if not len(scan.points):
+            return
+        ranges, var = noise_of_points(scan, self.settings)
+        if self.settings.anchors and self.anchors:
+            P = self.relative(-1).P
+            var = var + np.trace(P[:3, :3]) / 3.0 + ranges**2 * np.trace(P[3:, 3:]) / 3.0
+        owner = self.anchors[-1].number if self.anchors else 0
+        self.map.insert(scan.in_w(self.x), var, owner)
+
+    def _anchor(self, stamp: float) -> RelativePose | None:
+        """Make the present pose an anchor where the last one is old enough."""
+        if self.anchors and stamp - self.anchors[-1].stamp < self.settings.spacing - 0.01:
+            return None
+        relative = self.relative(-1, stamp) if self.anchors else None
+        pose = self.P[:POSE]
+        corner = pose[:, :POSE]
+        self.P = np.block([[self.P, pose.T], [pose, corner]])
+        self.anchors.append(Anchor(self._count, stamp, self.x.C_wb, self.x.pos_w))
+        self._usage[self._count] = 1.0
+        self._count += 1
+        self.map.forget_far(self.x.pos_w, self.settings.map_radius)
+        self._drop_anchors()
+        return relative
+
+    def _drop_anchors(self) -> None:
+        """Forget the anchors that no plane is tied to and those that are used least."""
+        owned = set(np.unique(self.map.owned()).tolist())
+        last = self.anchors[-2:]
+        gone = [one for one in self.anchors if one.number not in owned and one not in last]
+        most = max(self.settings.anchors, 2)
+        rest = [one for one in self.anchors if one not in gone and one not in last]
+        rest.sort(key=lambda one: self._usage[one.number])
+        gone += rest[: max(len(self.anchors) - len(gone) - most, 0)]
+        for one in gone:
+            k = self.anchors.index(one)
+            columns = slice(N + POSE * k, N + POSE * (k + 1))
+            self.P = np.delete(np.delete(self.P, columns, 0), columns, 1)
+            del self.anchors[k], self._usage[one.number]
+            if one.number in owned:
+                self.map.forget_owner(one.number)
+
+    def relative(self, k: int, stamp: float = 0.0) -> RelativePose:
+        """Return the present pose relative to an anchor."""
+        anchor = self.anchors[k]
+        k %= len(self.anchors)
+        C = anchor.C_wb.T @ self.x.C_wb
+        pos = anchor.C_wb.T @ (self.x.pos_w - anchor.pos_w)
+        J = np.zeros((POSE, 2 * POSE))
+        J[:3, POS] = anchor.C_wb.T
+        J[:3, 9:12] = -anchor.C_wb.T
+        J[:3, 6:9] = skew(pos)
+        J[3:, ATT] = np.eye(3)
+        J[3:, 6:9] = -C.T
+        at = np.concatenate([np.arange(POSE), np.arange(N + POSE * k, N + POSE * (k + 1))])
+        P = J @ self.P[np.ix_(at, at)] @ J.T
+        return RelativePose(
+            start=anchor.stamp, end=stamp, C=C, pos=pos, P=0.5 * (P + P.T)
+        )
+
+
+def thin(points: Array, size: float, most: int) -> Array:
+    """Return the index of one point in each voxel, and at most so many, spread evenly."""
+    if not len(points):
+        return np.zeros(0, dtype=np.int64)
+    cell = np.floor(points / size).astype(np.int64) + (1 << 20)
+    key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
+    index = np.sort(np.unique(key, return_index=True)[1])
+    if len(index) > most:
+        index = index[np.linspace(0, len(index) - 1, most).astype(np.int64)]
+    return index
+
+
+def run(recording: Recording, settings: Settings) -> Iterator[Estimate]:
+    """Yield the estimate at the end of each scan of a recording."""
+    odometry = Odometry(recording.inertial, recording.mounting, settings)
+    for scan in recording.scans:
+        yield from odometry.process(scan)

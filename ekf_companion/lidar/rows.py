@@ -1,0 +1,153 @@
+"""Point-to-plane rows of one scan, summed to normal equations for each anchor of the map.
+
+A row compares a point with a plane that is tied to an anchor, a pose of the past with an error of
+its own: what is measured is the pose relative to that anchor. The variance of a row holds the noise
+of the range by the angle of incidence, that of the beam's direction, the roughness of the plane and
+its uncertainty, which all rows on the same plane share.
+
+Normals are noisy, and noise has information in the sum of squares even along a direction in which
+nothing is seen (errors in variables). The expected share of it is taken out; where what is left is
+not more than chance, the direction is without hold and no row has a part in it.
+
+Source: Fuller 1987, "Measurement Error Models", ch. 2 (correction of the normal matrix);
+Zhang, Kaess, Singh 2016, "On degeneracy of optimization-based state estimation problems"
+(directions that are not updated).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ekf_companion.lidar.deskew import Deskewed
+from ekf_companion.lidar.settings import Settings
+from ekf_companion.lidar.state import State
+from ekf_companion.lidar.voxel_map import Planes, VoxelMap
+from ekf_companion.nav.arrays import Array, Indices
+
+GATE = 5.0
+"""Rows farther from their plane than this many sigmas, of prior and noise, are of something else."""
+TAIL = 3.0
+"""Sigmas at which a row has half its weight: a Cauchy distribution's, 98 % efficient for noise."""
+CHANCE = 2.0
+"""Standard errors by which a hold must exceed the noise of the normals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """Normal equations of one scan at a state."""
+
+    columns: int
+    """Number of the state's columns; the six of the anchor follow."""
+    by_owner: dict[int, tuple[Array, Array]]
+    """For each anchor the matrix of the rows' squares and their sums with the innovation."""
+    used: int
+    """Number of rows."""
+    hold: Array
+    """Share of the information along each of three directions that is more than noise."""
+    directions_w: Array
+    """Those directions, in columns, unit vectors, shape (3, 3)."""
+    sigma: Array
+    """Of the position along each by this scan alone, m."""
+    rms: float
+    """Of the innovations in their sigmas."""
+    usage: dict[int, float]
+    """Share of each anchor in the weights."""
+
+
+def noise_of_points(scan: Deskewed, settings: Settings) -> tuple[Array, Array]:
+    """Return the range of each point, m, and its variance along any axis, m^2, at most."""
+    ranges = np.sqrt(np.einsum("ni,ni->n", scan.points, scan.points))
+    var = settings.range_noise**2 + (settings.angle_noise * ranges) ** 2
+    return ranges, var
+
+
+def sum_rows(
+    scan: Deskewed, x: State, P: Array, voxels: VoxelMap, settings: Settings, *, has_mounting: bool
+) -> Sums | None:
+    """Match the points of a scan and sum up their rows; None if there are none.
+
+    P is the covariance of attitude and position, shape (6, 6), by which points are gated.
+    """
+    q = scan.in_w(x)
+    ranges, var = noise_of_points(scan, settings)
+    planes = voxels.match(q, var)
+    if not len(planes.index):
+        return None
+    scan, q, ranges = scan.chosen(planes.index), q[planes.index], ranges[planes.index]
+    normal = planes.normal
+    gap = planes.centre - q
+    z = np.einsum("ni,ni->n", normal, gap)
+    H = scan.derivatives(x, normal, has_mounting=has_mounting)
+    R = _variances(scan, x, planes, gap, ranges, settings)
+    prior = np.einsum("ni,ij,nj->n", H[:, :6], P, H[:, :6])
+    distance = z * z / (R + prior)
+    kept = distance < GATE**2
+    if not kept.any():
+        return None
+    weight = np.where(kept, 1.0 / (R * (1.0 + distance / TAIL**2)), 0.0)
+
+    M, hold, directions, sigma = _hold(normal, planes, weight)
+    if (hold < 1.0).any():
+        normal = normal @ M.T
+        H = scan.derivatives(x, normal, has_mounting=has_mounting)
+    a = np.empty((len(z), 6))
+    a[:, :3] = normal
+    a[:, 3:] = np.cross(q - x.pos_w, normal)
+    rows = np.hstack([H, a])
+    by_owner, usage = {}, {}
+    total = weight.sum()
+    for owner in np.unique(planes.owner[kept]):
+        mine = planes.owner == owner
+        own, w = rows[mine], weight[mine]
+        weighted = own * w[:, None]
+        by_owner[int(owner)] = (weighted.T @ own, weighted.T @ z[mine])
+        usage[int(owner)] = float(w.sum() / total)
+    rms = float(np.sqrt(np.mean(z[kept] ** 2 / R[kept])))
+    return Sums(
+        H.shape[1], by_owner, int(kept.sum()), hold, directions, sigma, rms, usage
+    )
+
+
+def _variances(
+    scan: Deskewed, x: State, planes: Planes, gap: Array, ranges: Array, settings: Settings
+) -> Array:
+    """Return the variance of each row, m^2."""
+    beam = np.einsum("nij,nj->ni", scan.turn, scan.points @ x.C_bl.T) @ x.C_wb.T
+    cosine = np.abs(np.einsum("ni,ni->n", beam, planes.normal)) / np.maximum(ranges, 1e-3)
+    cosine2 = np.minimum(cosine * cosine, 1.0)
+    point = settings.range_noise**2 * cosine2
+    point += (settings.angle_noise * ranges) ** 2 * (1.0 - cosine2)
+    slope = np.einsum("nki,ni->nk", planes.along, gap)
+    shared = planes.offset + (slope * slope).sum(axis=1) + settings.range_bias**2 * cosine2
+    # Together the rows on a plane know no more than the plane
+    _, back, count = np.unique(planes.voxel, return_inverse=True, return_counts=True)
+    return np.asarray(np.maximum(point, planes.scatter) + count[back] * shared)
+
+
+def _hold(normal: Array, planes: Planes, weight: Array) -> tuple[Array, Array, Array, Array]:
+    """Find the directions in which the normals hold the position beyond their own noise.
+
+    Returns:
+        The matrix that leaves of a normal what is held, the share held along each direction, the
+        directions in columns, and the sigma of the position along each.
+    """
+    A = np.einsum("n,ni,nj->ij", weight, normal, normal)
+    B = np.einsum("n,nki,nkj->ij", weight, planes.along, planes.along)
+    A += 1e-9 * np.trace(A) * np.eye(3)
+    values, axes = np.linalg.eigh(A)
+    root = axes * np.sqrt(values) @ axes.T
+    inverse = axes / np.sqrt(values) @ axes.T
+    share, V = np.linalg.eigh(np.eye(3) - inverse @ B @ inverse)
+    per_plane = np.bincount(np.unique(planes.voxel, return_inverse=True)[1], weight)
+    count = per_plane.sum() ** 2 / float(per_plane @ per_plane)
+    # The noise of the normals is a sum of about so many squares
+    chance = CHANCE * np.sqrt(2.0 / count) * (1.0 - share)
+    hold = np.clip(share - chance, 0.0, 1.0)
+    hold[hold > 0.98] = 1.0
+    M = root @ (V * hold) @ V.T @ inverse
+    directions = inverse @ V
+    size = np.linalg.norm(directions, axis=0)
+    sigma = size / np.maximum(hold, 1e-6)
+    return M, hold, directions / size, sigma

@@ -1,0 +1,98 @@
+"""The state of the odometry, and its error state.
+
+World w: the body at the first pose. Body b: forward, left, up. Error state: attitude (rotation
+vector in b), position (w), velocity (w), gyro bias, accelerometer bias, direction of gravity (two
+angles), mounting of the lidar (rotation vector in its frame, position in b), delay; then six each,
+attitude and position, of the anchors: poses of the past that the map is tied to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.direction import direction_minus, direction_plus
+
+ATT, POS, VEL = slice(0, 3), slice(3, 6), slice(6, 9)
+GYRO_BIAS, ACCEL_BIAS, DOWN = slice(9, 12), slice(12, 15), slice(15, 17)
+MOUNT_ATT, MOUNT_POS, DELAY = slice(17, 20), slice(20, 23), 23
+N = 24
+POSE = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class State:
+    """Nominal state at the end of a scan."""
+
+    C_wb: Array = field(default_factory=lambda: np.eye(3))
+    pos_w: Array = field(default_factory=lambda: np.zeros(3))
+    """m."""
+    vel_w: Array = field(default_factory=lambda: np.zeros(3))
+    """m/s."""
+    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    """rad/s."""
+    accel_bias: Array = field(default_factory=lambda: np.zeros(3))
+    """m/s^2."""
+    down_w: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    """Unit vector."""
+    C_bl: Array = field(default_factory=lambda: np.eye(3))
+    """Lidar to body."""
+    pos_b: Array = field(default_factory=lambda: np.zeros(3))
+    """Of the lidar, m."""
+    delay: float = 0.0
+    """Of the inertial stamps relative to the lidar's, s."""
+
+    def plus(self, dx: Array) -> State:
+        """Add an error state, shape (24,) or longer."""
+        return State(
+            C_wb=self.C_wb @ exp(dx[ATT]),
+            pos_w=self.pos_w + dx[POS],
+            vel_w=self.vel_w + dx[VEL],
+            gyro_bias=self.gyro_bias + dx[GYRO_BIAS],
+            accel_bias=self.accel_bias + dx[ACCEL_BIAS],
+            down_w=direction_plus(self.down_w, dx[DOWN]),
+            C_bl=self.C_bl @ exp(dx[MOUNT_ATT]),
+            pos_b=self.pos_b + dx[MOUNT_POS],
+            delay=self.delay + float(dx[DELAY]),
+        )
+
+    def minus(self, other: State) -> Array:
+        """Return the error state from the other to this state, shape (24,)."""
+        return np.concatenate(
+            [
+                log(other.C_wb.T @ self.C_wb),
+                self.pos_w - other.pos_w,
+                self.vel_w - other.vel_w,
+                self.gyro_bias - other.gyro_bias,
+                self.accel_bias - other.accel_bias,
+                direction_minus(self.down_w, other.down_w),
+                log(other.C_bl.T @ self.C_bl),
+                self.pos_b - other.pos_b,
+                [self.delay - other.delay],
+            ]
+        )
+
+    def moved(self, C_wb: Array, pos_w: Array, vel_w: Array) -> State:
+        """Return the state with another pose and velocity."""
+        return replace(self, C_wb=C_wb, pos_w=pos_w, vel_w=vel_w)
+
+
+def exp(phi: Array) -> Array:
+    """Return the matrices of rotation vectors, rad, shape (..., 3, 3)."""
+    return so3.to_matrix(so3.exp(phi))
+
+
+def log(C: Array) -> Array:
+    """Return the rotation vector of a matrix, rad, shape (3,); below half a turn."""
+    axis = 0.5 * np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
+    sine = float(np.sqrt(axis @ axis))
+    angle = float(np.arctan2(sine, 0.5 * (np.trace(C) - 1.0)))
+    return axis * (angle / sine if sine > 1e-9 else 1.0)  # the next term of the series is 1e-18
+
+
+def to_quaternion(C: Array) -> Array:
+    """Return the quaternion of a matrix, shape (4,)."""
+    return so3.exp(log(C))

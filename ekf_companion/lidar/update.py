@@ -1,0 +1,149 @@
+"""The iterated update, in information form, with anchors that are considered and not corrected.
+
+At the iterate x, with e the error state from the prior to x and A = H' R^-1 H summed over the rows,
+
+    d = -e + P (I + A P)^-1 (H' R^-1 z + A e)
+
+which needs no inverse of P: an anchor that was just made is the pose itself, and P is singular. The
+errors of the anchors are part of P and of A; they are not corrected (Schmidt's consider states), so
+that the map stays where it is, and their covariance does not shrink.
+
+Source: Xu and Zhang 2021, "FAST-LIO", arXiv 2010.08196 (information form, iterated on manifolds);
+Schmidt 1966, "Application of state-space methods to navigation problems" (consider states).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ekf_companion.lidar.rows import Sums
+from ekf_companion.lidar.state import ATT, DOWN, MOUNT_ATT, POSE, N, State
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Indices
+from ekf_companion.nav.direction import direction_jacobian
+from ekf_companion.nav.so3 import skew
+
+SETTLED = 0.02
+"""Share of one sigma in every state below which a step is the last."""
+SEEN = np.arange(12)
+SEEN_WITH_MOUNTING = np.concatenate([np.arange(12), np.arange(17, 24)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """A pose of the past that planes of the map are tied to."""
+
+    number: int
+    stamp: float
+    """s, lidar clock."""
+    C_wb: Array
+    pos_w: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Update:
+    """The state of least cost."""
+
+    state: State
+    P: Array
+    sums: Sums | None
+    """At the last evaluation; None: no point was matched."""
+    evaluations: int
+
+
+def correct(
+    prior: State,
+    P: Array,
+    rows: Callable[[State, Array], Sums | None],
+    anchors: Sequence[Anchor],
+    iterations: int,
+) -> Update:
+    """Find the state of least cost from a prior and the covariance of its error state."""
+    x, sums = prior, None
+    L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
+    for iteration in range(1, iterations + 1):
+        sums = rows(x, P[:POSE, :POSE])
+        if sums is None:
+            return Update(prior, P, None, iteration)
+        e = x.minus(prior)
+        G = reset_matrix(x, prior, len(P))
+        P_here = P if G is None else G @ P @ G.T
+        if G is not None:
+            e = G[:N, :N] @ e
+        seen, A, b = assemble(sums, anchors, x)
+        full = np.zeros(len(P))
+        full[:N] = e
+        S = np.eye(len(seen)) + A @ P_here[np.ix_(seen, seen)]
+        gained = P_here[:N, seen] @ np.linalg.solve(S, b + A @ full[seen])
+        dx = gained - e
+        after = x.plus(dx)
+        is_last = iteration == iterations or bool((np.abs(dx) <= SETTLED * L).all())
+        if is_last:
+            K = np.linalg.solve(S, A @ P_here[seen])
+            P_after = P_here - P_here[:, seen] @ K
+            P_after[N:, N:] = P[N:, N:]
+            G = reset_matrix(after, x, len(P))
+            if G is not None:
+                P_after = G @ P_after @ G.T
+            return Update(after, 0.5 * (P_after + P_after.T), sums, iteration)
+        x = after
+    raise AssertionError("no iterations")
+
+
+def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, Array, Array]:
+    """Return the error states that the rows depend on, and the normal equations in them."""
+    m = sums.columns
+    own = SEEN if m == len(SEEN) else SEEN_WITH_MOUNTING
+    place = {anchor.number: k for k, anchor in enumerate(anchors)}
+    tied = [owner for owner in sums.by_owner if owner in place]
+    size = m + POSE * len(tied)
+    A, b = np.zeros((size, size)), np.zeros(size)
+    seen = np.empty(size, dtype=np.int64)
+    seen[:m] = own
+    at = m
+    for owner, (C, c) in sums.by_owner.items():
+        A[:m, :m] += C[:m, :m]
+        b[:m] += c[:m]
+        if owner not in place:
+            continue
+        k = place[owner]
+        T = -by_anchor(anchors[k], x.pos_w)
+        here = slice(at, at + POSE)
+        A[:m, here] = C[:m, m:] @ T
+        A[here, :m] = A[:m, here].T
+        A[here, here] = T.T @ C[m:, m:] @ T
+        b[here] = T.T @ c[m:]
+        seen[here] = np.arange(N + POSE * k, N + POSE * (k + 1))
+        at += POSE
+    return seen, A, b
+
+
+def by_anchor(anchor: Anchor, about_w: Array) -> Array:
+    """Return the shift of the map at a point and its rotation, in w, by an anchor's error, (6, 6).
+
+    Rotation last, as in the rows; the error has the attitude first.
+    """
+    T = np.zeros((POSE, POSE))
+    T[:3, 3:] = np.eye(3)
+    T[:3, :3] = -skew(about_w - anchor.pos_w) @ anchor.C_wb
+    T[3:, :3] = anchor.C_wb
+    return T
+
+
+def reset_matrix(x: State, prior: State, size: int) -> Array | None:
+    """Return the derivative of the error state about x by that about the prior; None: identity."""
+    turn = x.C_wb - prior.C_wb
+    if not turn.any() and not (x.down_w - prior.down_w).any():
+        return None
+    from ekf_companion.lidar.state import log
+
+    G = np.eye(size)
+    J = so3.right_jacobian_inverse(log(prior.C_wb.T @ x.C_wb))
+    G[ATT, ATT] = np.linalg.inv(J)
+    J = so3.right_jacobian_inverse(log(prior.C_bl.T @ x.C_bl))
+    G[MOUNT_ATT, MOUNT_ATT] = np.linalg.inv(J)
+    G[DOWN, DOWN] = np.linalg.inv(direction_jacobian(x.down_w, prior.down_w))
+    return G
