@@ -81,14 +81,18 @@ class Deskewed:
         return H
 
 
-def deskew(points: Array, stamp: Array, path: Path, prior: State) -> Deskewed:
-    """Find the motion from each point, at its time on the inertial clock, to the end of a path."""
+def deskew(points: Array, stamp: Array, path: Path, end: State, prior: State) -> Deskewed:
+    """Find the motion from each point, at its time on the inertial clock, to the end of a path.
+
+    ``end`` is the state there in the path's frame; ``prior`` the same one in w.
+    """
     C, pos = path.at(stamp)
+    to_w = prior.C_wb @ end.C_wb.T
     return Deskewed(
         points,
         path.stamp[-1] - stamp,
-        prior.C_wb.T @ C,
-        pos - prior.pos_w,
+        end.C_wb.T @ C,
+        (pos - end.pos_w) @ to_w.T,
         prior,
         path.rate_b[-1],
     )

@@ -9,7 +9,7 @@ With no anchors the map is taken as known: FAST-LIO's form.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from ekf_companion.lidar.motion import Samples, prepare, propagate
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
 from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, POSE, N, State
-from ekf_companion.lidar.update import Anchor, correct
+from ekf_companion.lidar.state import ATT, DOWN, POS, POSE, VEL, N, State
+from ekf_companion.lidar.update import Anchor, correct, first, shift_by_pose
 from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.nav.so3 import skew
 
 
@@ -68,7 +69,9 @@ class Odometry:
         self._count = 0
         self._is_started = False
         self.x = State()
-        self.P = np.zeros((N, N))
+        self.P = np.zeros((N + POSE, N + POSE))
+        self._marked: tuple[float, State] | None = None
+        self._insertions = 0
         self._time = 0.0
         """Of the state, inertial clock, s."""
 
@@ -77,13 +80,22 @@ class Odometry:
         if self._is_started:
             return [self._step(scan)]
         self._waiting.append(scan)
-        begun = start.begin(self._waiting, self._samples, self._mounting, self.settings)
-        if begun is None:
+        if len(self._waiting) < start.SCANS:
             return []
-        self.x, self.P, self._time = begun.state, begun.P, begun.time
-        self._is_started = True
-        waiting, self._waiting = self._waiting, []
-        return [self._step(one) for one in waiting]
+        return self._begin()
+
+    def finish(self) -> list[Estimate]:
+        """Return the estimates of a recording that ended before its start was found."""
+        return [] if self._is_started or not self._waiting else self._begin()
+
+    def _begin(self) -> list[Estimate]:
+        """Find the start, and take the scans that it was found by."""
+        scans, self._is_started = self._waiting, True
+        self.x, P = start.find(scans, self._samples, self._mounting, self.settings)
+        self._time = scans[0].stamp
+        self.P[:N, :N] = P
+        self._waiting = []
+        return [self._step(scan) for scan in scans]
 
     def _step(self, scan: Scan) -> Estimate:
         # Carry the state to the end of the scan
@@ -96,10 +108,16 @@ class Odometry:
         P[:N, :N] += Q
         self._time = end
 
+        # The first pose is the world
+        there = x
+        if not self.anchors:
+            x, G = recentred(x)
+            P[:N, :N] = G @ P[:N, :N] @ G.T
+
         # Each point from where the body was at its time
         points, times = self._choose(scan)
         stamp = np.clip(scan.stamp + times + x.delay, path.stamp[0], end)
-        whole = deskew(points, stamp, path, x)
+        whole = deskew(points, stamp, path, there, x)
         some = whole.chosen(thin(points, self.settings.scan_voxel, self.settings.most_points))
 
         # Compare them with the map
@@ -118,9 +136,9 @@ class Odometry:
             for number, share in update.sums.usage.items():
                 self._usage[number] = self._usage.get(number, 0.0) * 0.9 + 0.1 * share
 
-        # Tie the map to a new pose of the past from time to time, and put the points in
-        relative = self._anchor(end_l)
-        self._insert(whole)
+        # What was gained since the last mark; then the map learns the scan
+        relative = self._mark(end_l)
+        self._insert(whole, end_l)
         return Estimate(
             stamp=end_l,
             state=self.x,
@@ -139,31 +157,35 @@ class Odometry:
         kept = (square > s.least_range**2) & (square < s.most_range**2)
         return scan.points[kept], scan.times[kept]
 
-    def _insert(self, scan: Deskewed) -> None:
-        """Put the points of a scan into the map."""
+    def _insert(self, scan: Deskewed, stamp: float) -> None:
+        """Put the points of a scan into the part of the map that is being made."""
+        if not self.anchors or stamp - self.anchors[-1].stamp > self.settings.spacing - 0.01:
+            self._begin_anchor(stamp)
         if not len(scan.points):
             return
-        ranges, var = noise_of_points(scan, self.settings)
-        if self.settings.anchors and self.anchors:
-            P = self.relative(-1).P
-            var = var + np.trace(P[:3, :3]) / 3.0 + ranges**2 * np.trace(P[3:, 3:]) / 3.0
-        owner = self.anchors[-1].number if self.anchors else 0
-        self.map.insert(scan.in_w(self.x), var, owner)
+        # The error of this part is the mean of those of the poses by which it was made
+        k = len(self.anchors) - 1
+        T = shift_by_pose(self.x, self.anchors[k].about_w)
+        self._insertions += 1
+        share = 1.0 / self._insertions
+        at = slice(first(k), first(k + 1))
+        self.P[at] += share * (T @ self.P[:POSE] - self.P[at])
+        self.P[:, at] += share * (self.P[:, :POSE] @ T.T - self.P[:, at])
+        var = noise_of_points(scan, self.settings)[1]
+        self.map.insert(scan.in_w(self.x), var, self.anchors[k].number)
 
-    def _anchor(self, stamp: float) -> RelativePose | None:
-        """Make the present pose an anchor where the last one is old enough."""
-        if self.anchors and stamp - self.anchors[-1].stamp < self.settings.spacing - 0.01:
-            return None
-        relative = self.relative(-1, stamp) if self.anchors else None
-        pose = self.P[:POSE]
-        corner = pose[:, :POSE]
-        self.P = np.block([[self.P, pose.T], [pose, corner]])
-        self.anchors.append(Anchor(self._count, stamp, self.x.C_wb, self.x.pos_w))
+    def _begin_anchor(self, stamp: float) -> None:
+        """Begin another part of the map, whose error is not that of the ones before."""
+        n = len(self.P)
+        P = np.zeros((n + POSE, n + POSE))
+        P[:n, :n] = self.P
+        self.P = P
+        self.anchors.append(Anchor(self._count, stamp, self.x.pos_w))
         self._usage[self._count] = 1.0
         self._count += 1
+        self._insertions = 0
         self.map.forget_far(self.x.pos_w, self.settings.map_radius)
         self._drop_anchors()
-        return relative
 
     def _drop_anchors(self) -> None:
         """Forget the anchors that no plane is tied to and those that are used least."""
@@ -176,29 +198,50 @@ class Odometry:
         gone += rest[: max(len(self.anchors) - len(gone) - most, 0)]
         for one in gone:
             k = self.anchors.index(one)
-            columns = slice(N + POSE * k, N + POSE * (k + 1))
+            columns = slice(first(k), first(k + 1))
             self.P = np.delete(np.delete(self.P, columns, 0), columns, 1)
             del self.anchors[k], self._usage[one.number]
             if one.number in owned:
                 self.map.forget_owner(one.number)
 
-    def relative(self, k: int, stamp: float = 0.0) -> RelativePose:
-        """Return the present pose relative to an anchor."""
-        anchor = self.anchors[k]
-        k %= len(self.anchors)
-        C = anchor.C_wb.T @ self.x.C_wb
-        pos = anchor.C_wb.T @ (self.x.pos_w - anchor.pos_w)
+    def _mark(self, stamp: float) -> RelativePose | None:
+        """Return the pose relative to the marked one where that is old enough, and mark this."""
+        if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
+            return None
+        relative = None if self._marked is None else self._relative(*self._marked, stamp)
+        at = slice(N, N + POSE)
+        self.P[at] = self.P[:POSE]
+        self.P[:, at] = self.P[:, :POSE]
+        self._marked = (stamp, self.x)
+        return relative
+
+    def _relative(self, stamp0: float, then: State, stamp: float) -> RelativePose:
+        """Return the present pose relative to the marked one."""
+        C = then.C_wb.T @ self.x.C_wb
+        pos = then.C_wb.T @ (self.x.pos_w - then.pos_w)
         J = np.zeros((POSE, 2 * POSE))
-        J[:3, POS] = anchor.C_wb.T
-        J[:3, 9:12] = -anchor.C_wb.T
+        J[:3, POS] = then.C_wb.T
+        J[:3, 9:12] = -then.C_wb.T
         J[:3, 6:9] = skew(pos)
         J[3:, ATT] = np.eye(3)
         J[3:, 6:9] = -C.T
-        at = np.concatenate([np.arange(POSE), np.arange(N + POSE * k, N + POSE * (k + 1))])
+        at = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
         P = J @ self.P[np.ix_(at, at)] @ J.T
-        return RelativePose(
-            start=anchor.stamp, end=stamp, C=C, pos=pos, P=0.5 * (P + P.T)
-        )
+        return RelativePose(start=stamp0, end=stamp, C=C, pos=pos, P=0.5 * (P + P.T))
+
+
+def recentred(x: State) -> tuple[State, Array]:
+    """Return the state with the body's pose as the world, and the derivative of its error state."""
+    C = x.C_wb.T
+    vel, down = C @ x.vel_w, C @ x.down_w
+    here = replace(x.moved(np.eye(3), np.zeros(3), vel), down_w=down)
+    G = np.eye(N)
+    G[ATT, ATT] = G[POS, POS] = 0.0
+    G[VEL, VEL], G[VEL, ATT] = C, skew(vel)
+    to_angles = direction_by_angles(down).T
+    G[DOWN, DOWN] = to_angles @ C @ direction_by_angles(x.down_w)
+    G[DOWN, ATT] = to_angles @ skew(down)
+    return here, G
 
 
 def thin(points: Array, size: float, most: int) -> Array:
@@ -218,3 +261,4 @@ def run(recording: Recording, settings: Settings) -> Iterator[Estimate]:
     odometry = Odometry(recording.inertial, recording.mounting, settings)
     for scan in recording.scans:
         yield from odometry.process(scan)
+    yield from odometry.finish()

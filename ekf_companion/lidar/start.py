@@ -1,13 +1,19 @@
-"""The first state: at rest, or in motion from the first scans."""
+"""The first state, from the first scans: whether at rest or in motion.
+
+Gyro and accelerometer move the body; the velocity at the beginning, gravity and the bias of the
+gyro are what is sought: over half a second the positions are linear in the first two. Points of
+later scans are compared with planes of the first one, which are distorted themselves by what is not
+known yet: both are made anew at each iteration.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from ekf_companion.lidar.motion import Samples
+from ekf_companion.lidar.motion import Path, Samples, propagate
 from ekf_companion.lidar.recording import Mounting, Scan
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
@@ -21,54 +27,143 @@ from ekf_companion.lidar.state import (
     N,
     State,
 )
+from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.direction import direction_by_angles
 
+SCANS = 6
+"""Of which the start is found."""
+SPEED, ACCELERATION = 5.0, 2.0
+"""Of a vehicle under way, one sigma on each axis, m/s and m/s^2."""
+SEEDS = ((0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+"""Velocities to begin with: between far ones the planes of one scan may hold a wrong one."""
+AGAIN = 9.0
+"""Factor on the covariance: the filter takes the same scans again, and this prior shall not count
+for more than a tenth of them."""
+TAIL = 2.0
+"""Sigmas at which a row has half its weight."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
-    """A state and its covariance."""
 
-    state: State
-    P: Array
-    time: float
-    """Inertial clock, s."""
-
-
-def begin(
+def find(
     scans: Sequence[Scan], samples: Samples, mounting: Mounting, settings: Settings
-) -> Start | None:
-    """Return the first state, at the end of the first scan; None: more scans are needed."""
-    if len(scans) < 5:
-        return None
-    first = scans[0].stamp
-    upto = scans[-1].stamp
-    inside = (samples.stamp > first) & (samples.stamp < upto)
-    gyro, accel = samples.gyro[inside], samples.accel[inside]
-    mean = accel.mean(axis=0)
-    x = State(
-        gyro_bias=gyro.mean(axis=0),
-        down_w=-mean / np.linalg.norm(mean),
-        C_bl=mounting.rotation,
-        pos_b=mounting.position,
+) -> tuple[State, Array]:
+    """Return the state at the beginning of the first scan, and its covariance, shape (24, 24).
+
+    The world is the body there; the position and the attitude are zero by definition.
+    """
+    x = State(C_bl=mounting.rotation, pos_b=mounting.position)
+    path = _path(scans, np.zeros(3), x, samples, settings)
+    steps = np.diff(path.stamp)
+    mean = steps @ path.accel_w / max(float(steps.sum()), 1e-9)
+    motion = prior = np.concatenate([np.zeros(3), -mean, np.zeros(3)])
+    P = np.diag(_variances(settings))
+    found = []
+    for seed in SEEDS:
+        motion = prior + np.concatenate([SPEED * np.array(seed), np.zeros(6)])
+        for count in (1, 1, 1, 2):
+            motion, _, score = _fit(scans[: count + 1], motion, prior, x, samples, settings)
+        found.append((score, motion))
+    motion = max(found, key=lambda one: one[0])[1]
+    for count in (2, 3, *([len(scans) - 1] * 4)):
+        motion, P, _ = _fit(scans[: count + 1], motion, prior, x, samples, settings)
+    size = float(np.linalg.norm(motion[3:6]))
+    is_found = size > 0.1 * settings.gravity
+    x = replace(
+        x,
+        vel_w=motion[:3],
+        gyro_bias=motion[6:],
+        down_w=motion[3:6] / size if is_found else np.array([0.0, 0.0, -1.0]),
     )
-    P = first_covariance(x, mounting, settings)
-    P[VEL, VEL] = 0.01**2 * np.eye(3)
-    P[GYRO_BIAS, GYRO_BIAS] = 0.001**2 * np.eye(3)
-    return Start(x, P, first)
+    return x, _covariance(x, AGAIN * P, mounting, settings)
 
 
-def first_covariance(x: State, mounting: Mounting, settings: Settings) -> Array:
-    """Return the covariance before anything is known; the pose is zero by definition."""
+def _variances(settings: Settings) -> Array:
+    """Return the variances of velocity, gravity and gyro bias before the first scan."""
+    return np.repeat(np.square([SPEED, ACCELERATION, settings.gyro_bias]), 3)
+
+
+def _path(
+    scans: Sequence[Scan], gyro_bias: Array, x: State, samples: Samples, settings: Settings
+) -> Path:
+    """Return the motion over some scans from rest, without gravity."""
+    end = max(scan.stamp + float(scan.times.max(initial=0.0)) for scan in scans)
+    still, falling = replace(x, gyro_bias=gyro_bias), replace(settings, gravity=0.0)
+    return propagate(still, samples, scans[0].stamp, end, falling)[3]
+
+
+def _fit(
+    scans: Sequence[Scan],
+    motion: Array,
+    expected: Array,
+    x: State,
+    samples: Samples,
+    settings: Settings,
+) -> tuple[Array, Array, float]:
+    """Return velocity, gravity and gyro bias after one more iteration, covariance and score.
+
+    The score is the number of points on planes at the motion that it began with.
+    """
+    start = scans[0].stamp
+    path = _path(scans, motion[6:], x, samples, settings)
+    placed = []
+    for scan in scans:
+        square = np.einsum("ni,ni->n", scan.points, scan.points)
+        kept = (square > settings.least_range**2) & (square < settings.most_range**2)
+        after = scan.stamp - start + scan.times[kept]
+        C, pos = path.at(start + after)
+        y = np.einsum("nij,nj->ni", C, scan.points[kept] @ x.C_bl.T + x.pos_b)
+        q = y + pos + after[:, None] * (motion[:3] + 0.5 * after[:, None] * motion[3:6])
+        placed.append((after, C, y, q))
+    var = settings.range_noise**2
+    voxels = VoxelMap(settings)
+    after, _, _, q = placed[0]
+    if len(q):
+        voxels.insert(q, np.full(len(q), var), 0)
+    middle = float(after.mean()) if len(after) else 0.0
+    prior = _variances(settings)
+    A, b, score = np.diag(1.0 / prior), (expected - motion) / prior, 0.0
+    for after, C, y, q in placed[1:]:
+        planes = voxels.match(q, np.full(len(q), var))
+        k = planes.index
+        if not len(k):
+            continue
+        normal = planes.normal
+        z = np.einsum("ni,ni->n", normal, planes.centre - q[k])
+        dt = (after[k] - middle)[:, None]
+        square = 0.5 * (after[k] ** 2 - middle**2)[:, None]
+        turn = np.einsum("nij,ni->nj", C[k], np.cross(y[k], normal))
+        H = np.hstack([dt * normal, square * normal, -dt * turn])
+        slope = np.einsum("nki,ni->nk", planes.along, q[k] - planes.centre)
+        R = var + planes.offset + (slope * slope).sum(axis=1)
+        spread = (1.5 * float(np.median(np.abs(z)))) ** 2
+        w = 1.0 / (R * (1.0 + z * z / (TAIL**2 * (R + spread))))
+        score += float((1.0 / (1.0 + z * z / (TAIL**2 * R))).sum())
+        # Points on the same plane share its error
+        _, back, each = np.unique(planes.voxel, return_inverse=True, return_counts=True)
+        w /= 1.0 + (each * len(placed))[back] * planes.offset / R
+        A += (H * w[:, None]).T @ H
+        b += (H * w[:, None]).T @ z
+    P = np.linalg.inv(A)
+    return motion + P @ b, P, score
+
+
+def _covariance(x: State, found: Array, mounting: Mounting, settings: Settings) -> Array:
+    """Return the covariance of a state of which velocity, gravity and gyro bias were found."""
     P = np.zeros((N, N))
-    P[VEL, VEL] = 1.0 * np.eye(3)
-    P[GYRO_BIAS, GYRO_BIAS] = settings.gyro_bias**2 * np.eye(3)
+    P[VEL, VEL] = found[:3, :3]
+    P[GYRO_BIAS, GYRO_BIAS] = found[6:, 6:]
+    P[VEL, GYRO_BIAS] = found[:3, 6:]
+    P[GYRO_BIAS, VEL] = found[6:, :3]
     P[ACCEL_BIAS, ACCEL_BIAS] = settings.accel_bias**2 * np.eye(3)
-    # The bias of the accelerometer tilts the direction that its mean shows
-    T = -np.linalg.pinv(settings.gravity * direction_by_angles(x.down_w))
-    P[DOWN, ACCEL_BIAS] = -T @ P[ACCEL_BIAS, ACCEL_BIAS]
+    # The bias of the accelerometer looks like gravity
+    T = np.linalg.pinv(settings.gravity * direction_by_angles(x.down_w))
+    P[DOWN, ACCEL_BIAS] = T @ P[ACCEL_BIAS, ACCEL_BIAS]
     P[ACCEL_BIAS, DOWN] = P[DOWN, ACCEL_BIAS].T
-    P[DOWN, DOWN] = T @ P[ACCEL_BIAS, ACCEL_BIAS] @ T.T + 0.005**2 * np.eye(2)
+    P[DOWN, DOWN] = T @ (P[ACCEL_BIAS, ACCEL_BIAS] + found[3:6, 3:6]) @ T.T
+    P[DOWN, VEL] = T @ found[3:6, :3]
+    P[VEL, DOWN] = P[DOWN, VEL].T
+    P[DOWN, GYRO_BIAS] = T @ found[3:6, 6:]
+    P[GYRO_BIAS, DOWN] = P[DOWN, GYRO_BIAS].T
     if settings.is_mounting_estimated:
         P[MOUNT_ATT, MOUNT_ATT] = mounting.rotation_sigma**2 * np.eye(3)
         P[MOUNT_POS, MOUNT_POS] = mounting.position_sigma**2 * np.eye(3)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.lidar.rows import Sums
-from ekf_companion.lidar.state import ATT, DOWN, MOUNT_ATT, POSE, N, State
+from ekf_companion.lidar.state import ATT, DOWN, MOUNT_ATT, POSE, N, State, log
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_jacobian
@@ -34,13 +34,16 @@ SEEN_WITH_MOUNTING = np.concatenate([np.arange(12), np.arange(17, 24)])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """A pose of the past that planes of the map are tied to."""
+    """A part of the map, put in over one interval of time.
+
+    Its error is the mean of those of the poses by which its points were put in: the shift of the
+    map at ``about_w``, m, and its rotation, rad, both in w.
+    """
 
     number: int
     stamp: float
-    """s, lidar clock."""
-    C_wb: Array
-    pos_w: Array
+    """At its beginning, s, lidar clock."""
+    about_w: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,26 +113,35 @@ def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, 
         if owner not in place:
             continue
         k = place[owner]
-        T = -by_anchor(anchors[k], x.pos_w)
+        T = -moved_to(x.pos_w - anchors[k].about_w)
         here = slice(at, at + POSE)
         A[:m, here] = C[:m, m:] @ T
         A[here, :m] = A[:m, here].T
         A[here, here] = T.T @ C[m:, m:] @ T
         b[here] = T.T @ c[m:]
-        seen[here] = np.arange(N + POSE * k, N + POSE * (k + 1))
+        seen[here] = np.arange(first(k), first(k + 1))
         at += POSE
     return seen, A, b
 
 
-def by_anchor(anchor: Anchor, about_w: Array) -> Array:
-    """Return the shift of the map at a point and its rotation, in w, by an anchor's error, (6, 6).
+def first(k: int) -> int:
+    """Return the first error state of an anchor: before it are the state and one past pose."""
+    return N + POSE * (k + 1)
 
-    Rotation last, as in the rows; the error has the attitude first.
-    """
+
+def moved_to(lever_w: Array) -> Array:
+    """Return the derivative of shift and rotation at the end of a lever by those at its start."""
+    T = np.eye(POSE)
+    T[:3, 3:] = -skew(lever_w)
+    return T
+
+
+def shift_by_pose(x: State, about_w: Array) -> Array:
+    """Return the derivative of shift and rotation in w at a point by the error of a pose, (6, 6)."""
     T = np.zeros((POSE, POSE))
     T[:3, 3:] = np.eye(3)
-    T[:3, :3] = -skew(about_w - anchor.pos_w) @ anchor.C_wb
-    T[3:, :3] = anchor.C_wb
+    T[:3, :3] = -skew(about_w - x.pos_w) @ x.C_wb
+    T[3:, :3] = x.C_wb
     return T
 
 
@@ -138,8 +150,6 @@ def reset_matrix(x: State, prior: State, size: int) -> Array | None:
     turn = x.C_wb - prior.C_wb
     if not turn.any() and not (x.down_w - prior.down_w).any():
         return None
-    from ekf_companion.lidar.state import log
-
     G = np.eye(size)
     J = so3.right_jacobian_inverse(log(prior.C_wb.T @ x.C_wb))
     G[ATT, ATT] = np.linalg.inv(J)

@@ -144,6 +144,7 @@ class _Level:
             "sums": ((size, 9), np.float64),
             "noise": ((size,), np.float64),
             "owner": ((size,), np.int64),
+            "lead": ((size,), np.float64),
             "cost": ((size,), np.float64),
             "normal": ((size, 3), np.float64),
             "centre": ((size, 3), np.float64),
@@ -164,6 +165,8 @@ class _Level:
     """Of x, y, z, xx, yy, zz, xy, xz, yz about the middle."""
     noise: Array
     owner: Indices
+    lead: Array
+    """Points of the owner less those of others: the owner has the majority."""
     cost: Array
     """Variance of a point's distance from the plane, without its own noise; infinite: no plane."""
     normal: Array
@@ -200,6 +203,7 @@ class _Level:
             self.count[start:end] = self.noise[start:end] = 0.0
             self.sums[start:end] = 0.0
             self.owner[start:end] = owner
+            self.lead[start:end] = 0.0
             self.cost[start:end] = np.inf
             self.used = end
             slot = slot.copy()
@@ -218,7 +222,12 @@ class _Level:
         columns += [q[:, 0] * q[:, 1], q[:, 0] * q[:, 2], q[:, 1] * q[:, 2]]
         for j, column in enumerate(columns):
             self.sums[changed, j] += np.bincount(back, column, len(changed))
-        self.count[changed] += np.bincount(back, minlength=len(changed))
+        count = np.bincount(back, minlength=len(changed))
+        self.count[changed] += count
+        # Boyer and Moore's vote: whose points are the most
+        lead = self.lead[changed] + np.where(self.owner[changed] == owner, count, -count)
+        self.owner[changed[lead < 0.0]] = owner
+        self.lead[changed] = np.abs(lead)
         self.noise[changed] += np.bincount(back, variance, len(changed))
         self._fit(changed)
 
@@ -264,7 +273,7 @@ class _Level:
         if is_kept.all():
             return
         kept = np.flatnonzero(is_kept)
-        for name in ("key", "middle", "count", "sums", "noise", "owner", "cost"):
+        for name in ("key", "middle", "count", "sums", "noise", "owner", "lead", "cost"):
             getattr(self, name)[: len(kept)] = getattr(self, name)[kept]
         for name in ("normal", "centre", "along", "offset", "scatter"):
             getattr(self, name)[: len(kept)] = getattr(self, name)[kept]
