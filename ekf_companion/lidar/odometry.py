@@ -125,8 +125,8 @@ class Odometry:
         update = correct(
             x,
             P,
-            lambda x, P: sum_rows(
-                some, x, P, self.map, self.settings, has_mounting=has_mounting
+            lambda x, P, apart: sum_rows(
+                some, x, P, apart, self.map, self.settings, has_mounting=has_mounting
             ),
             self.anchors,
             self.settings.iterations,

@@ -30,7 +30,14 @@ GATE = 5.0
 """Rows farther from their plane than this many sigmas, of prior and noise, are of something else."""
 TAIL = 3.0
 """Sigmas at which a row has half its weight: a Cauchy distribution's, 98 % efficient for noise."""
-CHANCE = 2.0
+SEPARATE = 3.0
+"""Ratio of sigmas from which on the filter knows which directions are without hold."""
+AGREEING = 0.2
+"""Largest angle to those that the normals show, rad."""
+LEAST_PLANES = 9.0
+"""Planes that a hold must come from, by their weights: one in nine that is of something that moves,
+or of an edge, is then no more than three sigma of the others."""
+CHANCE = 3.0
 """Standard errors by which a hold must exceed the noise of the normals."""
 
 
@@ -42,10 +49,13 @@ class Sums:
     """Number of the state's columns; the six of the anchor follow."""
     by_owner: dict[int, tuple[Array, Array]]
     """For each anchor the matrix of the rows' squares and their sums with the innovation."""
+    common: Array
+    """Variances of an error of the scan as a whole: shift, m^2, and rotation, rad^2, shape (6,)."""
     used: int
     """Number of rows."""
     hold: Array
     """Share of the information along each of three directions that is more than noise."""
+    share: Array
     directions_w: Array
     """Those directions, in columns, unit vectors, shape (3, 3)."""
     sigma: Array
@@ -64,11 +74,19 @@ def noise_of_points(scan: Deskewed, settings: Settings) -> tuple[Array, Array]:
 
 
 def sum_rows(
-    scan: Deskewed, x: State, P: Array, voxels: VoxelMap, settings: Settings, *, has_mounting: bool
+    scan: Deskewed,
+    x: State,
+    P: Array,
+    apart: dict[int, Array],
+    voxels: VoxelMap,
+    settings: Settings,
+    *,
+    has_mounting: bool,
 ) -> Sums | None:
     """Match the points of a scan and sum up their rows; None if there are none.
 
-    P is the covariance of attitude and position, shape (6, 6), by which points are gated.
+    P is the covariance of attitude and position, shape (6, 6), by which points are gated;
+    ``apart`` that of the position relative to each anchor, shape (3, 3).
     """
     q = scan.in_w(x)
     ranges, var = noise_of_points(scan, settings)
@@ -80,7 +98,7 @@ def sum_rows(
     gap = planes.centre - q
     z = np.einsum("ni,ni->n", normal, gap)
     H = scan.derivatives(x, normal, has_mounting=has_mounting)
-    R = _variances(scan, x, planes, gap, ranges, settings)
+    R = _variances(scan, x, planes, gap, ranges, apart, settings)
     prior = np.einsum("ni,ij,nj->n", H[:, :6], P, H[:, :6])
     distance = z * z / (R + prior)
     kept = distance < GATE**2
@@ -88,7 +106,7 @@ def sum_rows(
         return None
     weight = np.where(kept, 1.0 / (R * (1.0 + distance / TAIL**2)), 0.0)
 
-    M, hold, directions, sigma = _hold(normal, planes, weight)
+    M, hold, share, directions, sigma = _hold(normal, planes, weight, apart)
     if (hold < 1.0).any():
         normal = normal @ M.T
         H = scan.derivatives(x, normal, has_mounting=has_mounting)
@@ -105,13 +123,21 @@ def sum_rows(
         by_owner[int(owner)] = (weighted.T @ own, weighted.T @ z[mine])
         usage[int(owner)] = float(w.sum() / total)
     rms = float(np.sqrt(np.mean(z[kept] ** 2 / R[kept])))
+    # The biases of the few lasers that see a surface do not average out
+    common = np.repeat(np.square([settings.range_bias, settings.angle_noise]), 3)
     return Sums(
-        H.shape[1], by_owner, int(kept.sum()), hold, directions, sigma, rms, usage
+        H.shape[1], by_owner, common, int(kept.sum()), hold, share, directions, sigma, rms, usage
     )
 
 
 def _variances(
-    scan: Deskewed, x: State, planes: Planes, gap: Array, ranges: Array, settings: Settings
+    scan: Deskewed,
+    x: State,
+    planes: Planes,
+    gap: Array,
+    ranges: Array,
+    apart: dict[int, Array],
+    settings: Settings,
 ) -> Array:
     """Return the variance of each row, m^2."""
     beam = np.einsum("nij,nj->ni", scan.turn, scan.points @ x.C_bl.T) @ x.C_wb.T
@@ -121,12 +147,19 @@ def _variances(
     point += (settings.angle_noise * ranges) ** 2 * (1.0 - cosine2)
     slope = np.einsum("nki,ni->nk", planes.along, gap)
     shared = planes.offset + (slope * slope).sum(axis=1) + settings.range_bias**2 * cosine2
+    # What an unknown shift along a plane becomes by its slope (a term of second order)
+    for owner, shift in apart.items():
+        mine = np.flatnonzero(planes.owner == owner)
+        along = planes.along[mine]
+        shared[mine] += np.einsum("nki,ij,nkj->n", along, shift, along)
     # Together the rows on a plane know no more than the plane
     _, back, count = np.unique(planes.voxel, return_inverse=True, return_counts=True)
     return np.asarray(np.maximum(point, planes.scatter) + count[back] * shared)
 
 
-def _hold(normal: Array, planes: Planes, weight: Array) -> tuple[Array, Array, Array, Array]:
+def _hold(
+    normal: Array, planes: Planes, weight: Array, apart: dict[int, Array]
+) -> tuple[Array, Array, Array, Array, Array]:
     """Find the directions in which the normals hold the position beyond their own noise.
 
     Returns:
@@ -140,14 +173,45 @@ def _hold(normal: Array, planes: Planes, weight: Array) -> tuple[Array, Array, A
     root = axes * np.sqrt(values) @ axes.T
     inverse = axes / np.sqrt(values) @ axes.T
     share, V = np.linalg.eigh(np.eye(3) - inverse @ B @ inverse)
-    per_plane = np.bincount(np.unique(planes.voxel, return_inverse=True)[1], weight)
-    count = per_plane.sum() ** 2 / float(per_plane @ per_plane)
-    # The noise of the normals is a sum of about so many squares
-    chance = CHANCE * np.sqrt(2.0 / count) * (1.0 - share)
+    # Each plane adds the square of its normal's noise, which is one draw for all its rows
+    _, first, back = np.unique(planes.voxel, return_index=True, return_inverse=True)
+    per_plane = np.bincount(back, weight)
+    along = planes.along[first] @ (inverse @ V)
+    squares = per_plane[:, None] * (along * along).sum(axis=1)
+    chance = CHANCE * np.sqrt(2.0 * (squares * squares).sum(axis=0))
     hold = np.clip(share - chance, 0.0, 1.0)
+    held = per_plane[:, None] * (normal[first] @ (inverse @ V)) ** 2
+    planes_held = held.sum(axis=0) ** 2 / np.maximum((held * held).sum(axis=0), 1e-30)
+    hold[planes_held < LEAST_PLANES] = 0.0
     hold[hold > 0.98] = 1.0
-    M = root @ (V * hold) @ V.T @ inverse
     directions = inverse @ V
     size = np.linalg.norm(directions, axis=0)
+    lost = hold == 0.0
+    if lost.any():
+        U = _open_directions(directions[:, lost], planes, weight, apart)
+        M = np.eye(3) - U @ U.T
+    else:
+        M = root @ (V * hold) @ V.T @ inverse
     sigma = size / np.maximum(hold, 1e-6)
-    return M, hold, directions / size, sigma
+    return M, hold, share, directions / size, sigma
+
+
+def _open_directions(
+    found: Array, planes: Planes, weight: Array, apart: dict[int, Array]
+) -> Array:
+    """Return an orthonormal basis of the directions without hold, shape (3, m).
+
+    The normals show them but for their own noise. Rows that kept a little of the true ones would
+    hold them after many scans: those that the filter knows least are taken, where they agree.
+    """
+    U = np.linalg.qr(found)[0]
+    m = U.shape[1]
+    P = np.zeros((3, 3))
+    for owner, shift in apart.items():
+        P += shift * float(weight[planes.owner == owner].sum())
+    size, axes = np.linalg.eigh(P)
+    if m == 3 or size[3 - m] < SEPARATE**2 * size[2 - m]:
+        return U
+    least_known = axes[:, 3 - m :]
+    cosines = np.linalg.svd(U.T @ least_known, compute_uv=False)
+    return least_known if cosines.min() > np.cos(AGREEING) else U

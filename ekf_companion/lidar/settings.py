@@ -30,7 +30,7 @@ class Settings:
     """Density, m/s^2/sqrt(Hz)."""
     gyro_walk: float = 5e-5
     """Of the bias, rad/s/sqrt(s)."""
-    accel_walk: float = 5e-4
+    accel_walk: float = 1e-3
     """Of the bias, m/s^2/sqrt(s)."""
     inertial_scale: float = 0.003
     """Error of scale and alignment of both, one sigma."""

@@ -40,6 +40,14 @@ SEEDS = ((0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0,
 AGAIN = 9.0
 """Factor on the covariance: the filter takes the same scans again, and this prior shall not count
 for more than a tenth of them."""
+BLOCKS = 5
+"""Parts of the start of which the mean rates and forces are compared."""
+STILL_RATE, STILL_FORCE = 0.01, 0.1
+"""Largest sigma of those at rest, rad/s and m/s^2: a hand or a pilot does not hold stiller."""
+LEAST_RATE = 5e-4
+"""Least sigma of the rate at rest, rad/s."""
+REST_SPEED = 0.05
+"""Sigma of the velocity at rest, m/s: a vehicle rocks."""
 TAIL = 2.0
 """Sigmas at which a row has half its weight."""
 
@@ -74,7 +82,32 @@ def find(
         gyro_bias=motion[6:],
         down_w=motion[3:6] / size if is_found else np.array([0.0, 0.0, -1.0]),
     )
-    return x, _covariance(x, AGAIN * P, mounting, settings)
+    P = AGAIN * P
+    if (spread := _rest(scans, samples)) is not None and _is_still(motion[:3], P[:3, :3]):
+        # Nothing moves that inertial samples or lidar can see
+        rate, sigma = spread
+        x = replace(x, vel_w=np.zeros(3), gyro_bias=rate, down_w=-mean / np.linalg.norm(mean))
+        P = np.diag(np.repeat(np.square([REST_SPEED, STILL_FORCE, sigma]), 3))
+    return x, _covariance(x, P, mounting, settings)
+
+
+def _rest(scans: Sequence[Scan], samples: Samples) -> tuple[Array, float] | None:
+    """Return the mean rate and its sigma, rad/s, if the inertial samples do not change."""
+    t = samples.stamp
+    inside = (t > scans[0].stamp) & (t < scans[-1].stamp)
+    if np.count_nonzero(inside) < 2 * BLOCKS:
+        return None
+    rates = [part.mean(axis=0) for part in np.array_split(samples.gyro[inside], BLOCKS)]
+    forces = [part.mean(axis=0) for part in np.array_split(samples.accel[inside], BLOCKS)]
+    rate, force = np.std(rates, axis=0).max(), np.std(forces, axis=0).max()
+    if rate > STILL_RATE or force > STILL_FORCE:
+        return None
+    return np.mean(rates, axis=0), max(float(rate) / np.sqrt(BLOCKS - 1.0), LEAST_RATE)
+
+
+def _is_still(vel: Array, P: Array) -> bool:
+    """Return whether a velocity is none within three sigma."""
+    return float(vel @ np.linalg.solve(P, vel)) < 3.0 * 9.0
 
 
 def _variances(settings: Settings) -> Array:

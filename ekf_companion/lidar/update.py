@@ -60,15 +60,16 @@ class Update:
 def correct(
     prior: State,
     P: Array,
-    rows: Callable[[State, Array], Sums | None],
+    rows: Callable[[State, Array, dict[int, Array]], Sums | None],
     anchors: Sequence[Anchor],
     iterations: int,
 ) -> Update:
     """Find the state of least cost from a prior and the covariance of its error state."""
     x, sums = prior, None
+    apart = {one.number: _apart(prior, P, one, k) for k, one in enumerate(anchors)}
     L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
     for iteration in range(1, iterations + 1):
-        sums = rows(x, P[:POSE, :POSE])
+        sums = rows(x, P[:POSE, :POSE], apart)
         if sums is None:
             return Update(prior, P, None, iteration)
         e = x.minus(prior)
@@ -96,6 +97,15 @@ def correct(
     raise AssertionError("no iterations")
 
 
+def _apart(x: State, P: Array, anchor: Anchor, k: int) -> Array:
+    """Return the covariance of the position relative to an anchor, m^2, shape (3, 3)."""
+    J = np.zeros((3, 2 * POSE))
+    J[:, 3:6] = np.eye(3)
+    J[:, POSE:] = -moved_to(x.pos_w - anchor.about_w)[:3]
+    at = np.concatenate([np.arange(POSE), np.arange(first(k), first(k + 1))])
+    return np.asarray(J @ P[np.ix_(at, at)] @ J.T)
+
+
 def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, Array, Array]:
     """Return the error states that the rows depend on, and the normal equations in them."""
     m = sums.columns
@@ -106,10 +116,15 @@ def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, 
     A, b = np.zeros((size, size)), np.zeros(size)
     seen = np.empty(size, dtype=np.int64)
     seen[:m] = own
+    # What all rows of a scan share: K' of the sums that move it as a whole
+    K, D, d = np.zeros((size, POSE)), np.zeros((POSE, POSE)), np.zeros(POSE)
     at = m
     for owner, (C, c) in sums.by_owner.items():
         A[:m, :m] += C[:m, :m]
         b[:m] += c[:m]
+        K[:m] += C[:m, m:]
+        D += C[m:, m:]
+        d += c[m:]
         if owner not in place:
             continue
         k = place[owner]
@@ -119,9 +134,12 @@ def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, 
         A[here, :m] = A[:m, here].T
         A[here, here] = T.T @ C[m:, m:] @ T
         b[here] = T.T @ c[m:]
+        K[here] = T.T @ C[m:, m:]
         seen[here] = np.arange(first(k), first(k + 1))
         at += POSE
-    return seen, A, b
+    # That error is unknown and taken out (Woodbury)
+    L = np.linalg.solve(np.diag(1.0 / sums.common) + D, np.column_stack([K.T, d]))
+    return seen, A - K @ L[:, :-1], b - K @ L[:, -1]
 
 
 def first(k: int) -> int:

@@ -26,6 +26,10 @@ LARGEST_SLOPE = 0.15
 """Largest sigma of a plane's slope, rad: beyond it sine and angle differ by more than noise."""
 THICKEST = 3.0
 """Largest thickness of a plane, of the noise of a range."""
+LASERS = 2
+"""Of a spinning lidar that reach one voxel, at least: with one alone there is no plane."""
+PATCHES = 4
+"""Of a rough or curved surface in one voxel that are independent of each other: its quarters."""
 _SHIFT = 0.377
 """Of the grid of each size relative to the one before, of its voxels."""
 _BITS, _HALF = 21, 1 << 20
@@ -130,6 +134,7 @@ class _Level:
     def __init__(self, size: float, shift: float, settings: Settings) -> None:
         self.size, self._shift = size, shift
         self._thickest = (THICKEST * settings.range_noise) ** 2
+        self._bias_var = settings.range_bias**2
         self._face = 3.0 * settings.range_noise
         self.used = 0
         self._keys = np.empty(0, dtype=np.int64)
@@ -245,7 +250,11 @@ class _Level:
         thick = size[:, 0] * n / (n - 3.0)
         expected = self.noise[slot] / n
         var = np.maximum(thick, expected)
-        slope = var[:, None] / (n[:, None] * size[:, 1:])
+        # Few lasers reach one voxel: their biases do not average out as noise does
+        # nor does what a surface is rough or curved by
+        rough = np.maximum(thick - expected, 0.0)
+        remaining = var / n + self._bias_var / LASERS + rough / PATCHES
+        slope = remaining[:, None] / size[:, 1:]
         normal = axes[:, :, 0]
         is_plane = (thick < self._thickest) & (slope[:, 0] < LARGEST_SLOPE**2)
         # A plane along a face has lost the points on its other side
@@ -254,10 +263,10 @@ class _Level:
         self.normal[slot] = normal
         self.centre[slot] = self.middle[slot] + mean
         self.along[slot] = np.sqrt(slope)[:, :, None] * axes[:, :, 1:].transpose(0, 2, 1)
-        self.offset[slot] = var / n
+        self.offset[slot] = remaining
         self.scatter[slot] = thick
         # At a point as far from the centre as they are on the average
-        self.cost[slot] = np.where(is_plane, thick + 3.0 * var / n, np.inf)
+        self.cost[slot] = np.where(is_plane, thick + 3.0 * remaining, np.inf)
 
     def take(self, slot: Indices, planes: Planes, where: Indices) -> None:
         """Write the planes of voxels to their places."""
