@@ -39,6 +39,8 @@ GAP = 3.0
 """Multiple of the usual step from which on a step is a gap."""
 GAP_RATE, GAP_FORCE, MOTION_TIME = 0.5, 6.7, 0.4
 """A vehicle's motion in a gap, rad/s and m/s^2, and its correlation time, s: as the kernel's."""
+WINDOW = 100
+"""Samples over which vibration is averaged, before each."""
 TOGETHER = 5
 """Samples of one step of the covariance."""
 SCALE_TIME = 0.1
@@ -56,6 +58,8 @@ class Samples:
     """Shape (n, 6): at the end of its range; gyro first."""
     step: float
     """Usual time between samples, s."""
+    vibration: Array
+    """Variance per second of what changes from sample to sample, shape (n, 6)."""
 
 
 def prepare(inertial: InertialSamples) -> Samples:
@@ -71,7 +75,25 @@ def prepare(inertial: InertialSamples) -> Samples:
             is_clipped[1:, axis] = is_top[1:] & is_top[:-1]
             is_clipped[:-1, axis] |= is_clipped[1:, axis]
     step = float(np.median(np.diff(inertial.stamp))) if len(inertial.stamp) > 1 else 0.005
-    return Samples(inertial.stamp, inertial.gyro, inertial.accel, is_clipped, step)
+    vibration = _vibration(both) * step
+    return Samples(inertial.stamp, inertial.gyro, inertial.accel, is_clipped, step, vibration)
+
+
+def _vibration(values: Array) -> Array:
+    """Return the variance of what is not smooth over three samples, averaged over a window.
+
+    Vibration beyond half the sampling rate is folded into lower ones and does not average out as
+    the motion that it is: it counts as white noise.
+    """
+    n = len(values)
+    square = np.zeros_like(values)
+    if n > 2:
+        # The second difference of white noise has six times its variance
+        square[1:-1] = (values[2:] - 2.0 * values[1:-1] + values[:-2]) ** 2 / 6.0
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(square, axis=0)])
+    at = np.arange(n)
+    first, last = np.maximum(at - WINDOW, 0), np.minimum(at + 1, n)
+    return np.asarray((total[last] - total[first]) / np.maximum(last - first, 1)[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +140,7 @@ def propagate(
     t = np.concatenate([[start], inside, [end]])
     dt = np.diff(t)
     middle = 0.5 * (t[1:] + t[:-1])
-    rate, force, is_clipped, span = _means(samples, middle)
+    rate, force, is_clipped, span, vibration = _means(samples, middle)
     rate = rate - x.gyro_bias
     force_b = force - x.accel_bias
     gravity_w = settings.gravity * x.down_w
@@ -136,6 +158,7 @@ def propagate(
     pos = x.pos_w + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
     q = np.tile(settings.densities, (len(dt), 1))
+    q[:, :6] = np.maximum(q[:, :6], vibration)
     q[:, :3] += (settings.inertial_scale * rate) ** 2 * SCALE_TIME
     change = force_b + middles.transpose(0, 2, 1) @ gravity_w  # without what stays: the bias has it
     q[:, 3:6] += (settings.inertial_scale * change) ** 2 * SCALE_TIME
@@ -182,13 +205,14 @@ def samples_clipped(samples: Samples, start: float, end: float) -> Mask:
     return np.asarray(samples.is_clipped[first:last].any(axis=1))
 
 
-def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array]:
-    """Return rate, force, clipped axes and step between samples, at times between samples."""
+def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return rate, force, clipped axes, step and vibration between samples, at times between samples."""
     last = len(samples.stamp) - 1
     after = np.clip(np.searchsorted(samples.stamp, middle), 1, max(last, 1))
     if last < 1:
         zeros = np.zeros((len(middle), 3))
-        return zeros, zeros, np.zeros((len(middle), 6)), np.full(len(middle), np.inf)
+        none = np.zeros((len(middle), 6))
+        return zeros, zeros, none, np.full(len(middle), np.inf), none
     before = after - 1
     t0, t1 = samples.stamp[before], samples.stamp[after]
     u = np.clip((middle - t0) / np.maximum(t1 - t0, 1e-9), 0.0, 1.0)[:, None]
@@ -197,7 +221,7 @@ def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array]
     is_clipped = (samples.is_clipped[before] | samples.is_clipped[after]).astype(np.float64)
     # Before the first and after the last sample there is none to go by
     outside = np.maximum(t0 - middle, middle - t1)
-    return gyro, accel, is_clipped, np.maximum(t1 - t0, outside)
+    return gyro, accel, is_clipped, np.maximum(t1 - t0, outside), samples.vibration[after]
 
 
 def _transition(rate: Array, force: Array, C: Array, h: float, tilt: Array) -> Array:

@@ -17,6 +17,7 @@ Zhang, Kaess, Singh 2016, "On degeneracy of optimization-based state estimation 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from ekf_companion.lidar.deskew import Deskewed
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import State
 from ekf_companion.lidar.voxel_map import Planes, VoxelMap
-from ekf_companion.nav.arrays import Array, Indices
+from ekf_companion.nav.arrays import Array, Indices, Mask
 
 GATE = 5.0
 """Rows farther from their plane than this many sigmas, of prior and noise, are of something else."""
@@ -53,9 +54,10 @@ class Sums:
     """Variances of an error of the scan as a whole: shift, m^2, and rotation, rad^2, shape (6,)."""
     used: int
     """Number of rows."""
+    open_w: Array
+    """Orthonormal directions without hold, shape (3, m)."""
     hold: Array
     """Share of the information along each of three directions that is more than noise."""
-    share: Array
     directions_w: Array
     """Those directions, in columns, unit vectors, shape (3, 3)."""
     sigma: Array
@@ -106,9 +108,17 @@ def sum_rows(
         return None
     weight = np.where(kept, 1.0 / (R * (1.0 + distance / TAIL**2)), 0.0)
 
-    M, hold, share, directions, sigma = _hold(normal, planes, weight, apart)
-    if (hold < 1.0).any():
-        normal = normal @ M.T
+    owners, group = np.unique(planes.owner, return_inverse=True)
+    # Of each part of the map by itself: an old one that shows nothing along a tunnel holds nothing
+    part = _hold(normal, planes, weight, group, len(owners))
+    bare = np.einsum("nij,nj->ni", part.leave[group], normal)
+    whole = _hold(normal, planes, weight, np.zeros_like(group), 1)
+    U = np.empty((3, 0))
+    if whole.is_lost[0].any():
+        U = _open_directions(whole.directions[0][:, whole.is_lost[0]], planes, weight, apart)
+        bare = bare - (bare @ U) @ U.T
+    if part.is_lost.any() or (part.hold < 1.0).any():
+        normal = bare
         H = scan.derivatives(x, normal, has_mounting=has_mounting)
     a = np.empty((len(z), 6))
     a[:, :3] = normal
@@ -116,17 +126,17 @@ def sum_rows(
     rows = np.hstack([H, a])
     by_owner, usage = {}, {}
     total = weight.sum()
-    for owner in np.unique(planes.owner[kept]):
-        mine = planes.owner == owner
+    for number, owner in enumerate(owners.tolist()):
+        mine = np.flatnonzero(group == number)
         own, w = rows[mine], weight[mine]
         weighted = own * w[:, None]
-        by_owner[int(owner)] = (weighted.T @ own, weighted.T @ z[mine])
-        usage[int(owner)] = float(w.sum() / total)
+        by_owner[owner] = (weighted.T @ own, weighted.T @ z[mine])
+        usage[owner] = float(w.sum() / total)
     rms = float(np.sqrt(np.mean(z[kept] ** 2 / R[kept])))
     # The biases of the few lasers that see a surface do not average out
     common = np.repeat(np.square([settings.range_bias, settings.angle_noise]), 3)
     return Sums(
-        H.shape[1], by_owner, common, int(kept.sum()), hold, share, directions, sigma, rms, usage
+        H.shape[1], by_owner, common, int(kept.sum()), U, whole.hold[0], whole.directions[0], whole.sigma[0], rms, usage
     )
 
 
@@ -157,43 +167,67 @@ def _variances(
     return np.asarray(np.maximum(point, planes.scatter) + count[back] * shared)
 
 
-def _hold(
-    normal: Array, planes: Planes, weight: Array, apart: dict[int, Array]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Find the directions in which the normals hold the position beyond their own noise.
+class _Hold(NamedTuple):
+    """What the normals of each of g groups of rows hold beyond their own noise."""
 
-    Returns:
-        The matrix that leaves of a normal what is held, the share held along each direction, the
-        directions in columns, and the sigma of the position along each.
-    """
-    A = np.einsum("n,ni,nj->ij", weight, normal, normal)
-    B = np.einsum("n,nki,nkj->ij", weight, planes.along, planes.along)
-    A += 1e-9 * np.trace(A) * np.eye(3)
+    leave: Array
+    """What leaves of a normal only that, shape (g, 3, 3)."""
+    hold: Array
+    """Share of the information that is held along each direction, shape (g, 3)."""
+    is_lost: Mask
+    """No share, or by too few planes, shape (g, 3)."""
+    directions: Array
+    """In columns, unit vectors, shape (g, 3, 3)."""
+    sigma: Array
+    """Of the position along each by these rows alone, m, shape (g, 3)."""
+
+
+def _hold(normal: Array, planes: Planes, weight: Array, group: Indices, g: int) -> _Hold:
+    """Find in which directions the normals of each group hold the position."""
+    A = _sum_outer(normal, normal, weight, group, g)
+    along = planes.along
+    B = _sum_outer(along[:, 0], along[:, 0], weight, group, g)
+    B += _sum_outer(along[:, 1], along[:, 1], weight, group, g)
+    trace = np.trace(A, axis1=1, axis2=2)[:, None, None]
+    A = A + (1e-9 * trace + 1e-30) * np.eye(3)
     values, axes = np.linalg.eigh(A)
-    root = axes * np.sqrt(values) @ axes.T
-    inverse = axes / np.sqrt(values) @ axes.T
+    root = (axes * np.sqrt(values)[:, None]) @ axes.transpose(0, 2, 1)
+    inverse = (axes / np.sqrt(values)[:, None]) @ axes.transpose(0, 2, 1)
     share, V = np.linalg.eigh(np.eye(3) - inverse @ B @ inverse)
+    white = inverse @ V
     # Each plane adds the square of its normal's noise, which is one draw for all its rows
-    _, first, back = np.unique(planes.voxel, return_index=True, return_inverse=True)
-    per_plane = np.bincount(back, weight)
-    along = planes.along[first] @ (inverse @ V)
-    squares = per_plane[:, None] * (along * along).sum(axis=1)
-    chance = CHANCE * np.sqrt(2.0 * (squares * squares).sum(axis=0))
-    hold = np.clip(share - chance, 0.0, 1.0)
-    held = per_plane[:, None] * (normal[first] @ (inverse @ V)) ** 2
-    planes_held = held.sum(axis=0) ** 2 / np.maximum((held * held).sum(axis=0), 1e-30)
-    hold[planes_held < LEAST_PLANES] = 0.0
+    _, one, back = np.unique(planes.voxel, return_index=True, return_inverse=True)
+    each = np.bincount(back, weight)[:, None]
+    there = group[one]
+    seen = np.einsum("pki,pij->pkj", along[one], white[there])
+    squares = each * (seen * seen).sum(axis=1)
+    held = each * np.einsum("pi,pij->pj", normal[one], white[there]) ** 2
+    chance = np.empty((g, 3))
+    count = np.empty((g, 3))
+    for j in range(3):
+        chance[:, j] = np.sqrt(2.0 * np.bincount(there, squares[:, j] ** 2, g))
+        total = np.bincount(there, held[:, j], g)
+        count[:, j] = total**2 / np.maximum(np.bincount(there, held[:, j] ** 2, g), 1e-30)
+    hold = np.clip(share - CHANCE * chance, 0.0, 1.0)
     hold[hold > 0.98] = 1.0
-    directions = inverse @ V
-    size = np.linalg.norm(directions, axis=0)
-    lost = hold == 0.0
-    if lost.any():
-        U = _open_directions(directions[:, lost], planes, weight, apart)
-        M = np.eye(3) - U @ U.T
-    else:
-        M = root @ (V * hold) @ V.T @ inverse
-    sigma = size / np.maximum(hold, 1e-6)
-    return M, hold, share, directions / size, sigma
+    size = np.linalg.norm(white, axis=1)
+    return _Hold(
+        root @ (V * hold[:, None]) @ V.transpose(0, 2, 1) @ inverse,
+        hold,
+        (hold == 0.0) | (count < LEAST_PLANES),
+        white / size[:, None],
+        size / np.maximum(hold, 1e-6),
+    )
+
+
+def _sum_outer(a: Array, b: Array, weight: Array, group: Indices, g: int) -> Array:
+    """Return the sums of weight a b' over the rows of each group, shape (g, 3, 3)."""
+    made = np.empty((g, 3, 3))
+    for i in range(3):
+        scaled = weight * a[:, i]
+        for j in range(i, 3):
+            made[:, i, j] = made[:, j, i] = np.bincount(group, scaled * b[:, j], g)
+    return made
 
 
 def _open_directions(

@@ -20,7 +20,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.lidar.rows import Sums
-from ekf_companion.lidar.state import ATT, DOWN, MOUNT_ATT, POSE, N, State, log
+from ekf_companion.lidar.state import (
+    ACCEL_BIAS,
+    ATT,
+    DOWN,
+    MOUNT_ATT,
+    POS,
+    POSE,
+    VEL,
+    N,
+    State,
+    log,
+)
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_jacobian
@@ -82,12 +93,24 @@ def correct(
         full[:N] = e
         S = np.eye(len(seen)) + A @ P_here[np.ix_(seen, seen)]
         gained = P_here[:N, seen] @ np.linalg.solve(S, b + A @ full[seen])
+        open_w = sums.open_w
+        if open_w.shape[1]:
+            gained, e = _without(open_w, gained), _without(open_w, e)
         dx = gained - e
         after = x.plus(dx)
         is_last = iteration == iterations or bool((np.abs(dx) <= SETTLED * L).all())
         if is_last:
             K = np.linalg.solve(S, A @ P_here[seen])
-            P_after = P_here - P_here[:, seen] @ K
+            less = P_here[:, seen] @ K
+            if open_w.shape[1]:
+                less[:N] = _without(open_w, less[:N])
+                part = less[:N].copy()
+                P_after = P_here.copy()
+                P_after[:N] -= part
+                P_after[:, :N] -= part.T
+                P_after[:N, :N] += _without(open_w, part[:, :N].T).T
+            else:
+                P_after = P_here - less
             P_after[N:, N:] = P[N:, N:]
             G = reset_matrix(after, x, len(P))
             if G is not None:
@@ -140,6 +163,19 @@ def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, 
     # That error is unknown and taken out (Woodbury)
     L = np.linalg.solve(np.diag(1.0 / sums.common) + D, np.column_stack([K.T, d]))
     return seen, A - K @ L[:, :-1], b - K @ L[:, -1]
+
+
+def _without(open_w: Array, dx: Array) -> Array:
+    """Return corrections without those of what has no hold, shape (24, ...).
+
+    These are position and velocity along the open directions; and gravity and accelerometer bias,
+    which show in motion along them, and otherwise only by what the planes' errors feign.
+    """
+    kept = dx.copy()
+    for block in (POS, VEL):
+        kept[block] -= open_w @ (open_w.T @ dx[block])
+    kept[ACCEL_BIAS] = kept[DOWN] = 0.0
+    return kept
 
 
 def first(k: int) -> int:
