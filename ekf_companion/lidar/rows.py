@@ -24,7 +24,7 @@ import numpy as np
 from ekf_companion.lidar.deskew import Deskewed
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import State
-from ekf_companion.lidar.voxel_map import Planes, VoxelMap
+from ekf_companion.lidar.voxel_map import LASERS, Planes, VoxelMap
 from ekf_companion.nav.arrays import Array, Indices, Mask
 
 GATE = 5.0
@@ -134,7 +134,8 @@ def sum_rows(
         usage[owner] = float(w.sum() / total)
     rms = float(np.sqrt(np.mean(z[kept] ** 2 / R[kept])))
     # The biases of the few lasers that see a surface do not average out
-    common = np.repeat(np.square([settings.range_bias, settings.angle_noise]), 3)
+    shift = settings.range_bias**2 / LASERS
+    common = np.repeat([shift, settings.angle_noise**2], 3)
     return Sums(
         H.shape[1], by_owner, common, int(kept.sum()), U, whole.hold[0], whole.directions[0], whole.sigma[0], rms, usage
     )
@@ -210,11 +211,12 @@ def _hold(normal: Array, planes: Planes, weight: Array, group: Indices, g: int) 
         count[:, j] = total**2 / np.maximum(np.bincount(there, held[:, j] ** 2, g), 1e-30)
     hold = np.clip(share - CHANCE * chance, 0.0, 1.0)
     hold[hold > 0.98] = 1.0
+    hold[count < LEAST_PLANES] = 0.0
     size = np.linalg.norm(white, axis=1)
     return _Hold(
         root @ (V * hold[:, None]) @ V.transpose(0, 2, 1) @ inverse,
         hold,
-        (hold == 0.0) | (count < LEAST_PLANES),
+        hold == 0.0,
         white / size[:, None],
         size / np.maximum(hold, 1e-6),
     )
