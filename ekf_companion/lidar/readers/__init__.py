@@ -15,17 +15,20 @@ from ekf_companion.lidar.readers.source import Source
 from ekf_companion.lidar.recording import Mounting, Recording
 
 
-def read(path: str | Path, *, mounting: Mounting | None = None) -> Recording:
+def read(
+    path: str | Path, *, mounting: Mounting | None = None, stamp: str | None = None
+) -> Recording:
     """Return a recording in any form that is known, with what was decided about it.
 
     Args:
         path: The file, or the folder.
         mounting: The lidar on the inertial sensor. None: as the recording says.
+        stamp: `start`, `middle` or `end` of a scan, of which its stamp is. None: as it shows.
 
     Raises:
         LogError: It cannot be read, or nothing can be estimated from it.
     """
-    return judge(_open(Path(path)), mounting)
+    return judge(_open(Path(path)), mounting, stamp)
 
 
 def _open(path: Path) -> Source:

@@ -68,7 +68,8 @@ class Source:
     """s, of the stamps of inertial samples; None: to be decided."""
     time_unit: float | None = None
     """s, of the points' times; None: to be decided."""
-    extra: dict[str, Any] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+    """What a pass over the scans has found, one sentence each: the first pass fills it."""
 
 
 def whole(values: Any, columns: int) -> Array:
