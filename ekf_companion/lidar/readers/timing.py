@@ -46,7 +46,7 @@ class Timing:
     def apply(self, stored: StoredScan) -> Scan:
         """Return a scan with its returns alone, and its times from its start on."""
         keep = is_return(stored)
-        stamp = stored.stamp * self.stamp_unit
+        stamp = stored.stamp / round(1.0 / self.stamp_unit)
         if self.origin == "none" or stored.times is None:
             times = np.zeros(len(stored.points))
         else:
