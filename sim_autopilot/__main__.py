@@ -30,6 +30,11 @@ from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import Flown, over, play, run, telling
 from sim_autopilot.fly import fly as fly_over
+from sim_autopilot.lidar.beams import BEAMS
+from sim_autopilot.lidar.record import simulate as simulate_lidar
+from sim_autopilot.lidar.record import usual_lidar
+from sim_autopilot.lidar.worlds import WORLDS
+from sim_autopilot.lidar.write import write_bag, write_sequence
 from sim_autopilot.loop import Bench, StreamRequester
 from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_score, write_truth
@@ -172,6 +177,33 @@ def replay(
     with _exit_on_error():
         count = run(over(link, lambda opened: play(replaying.frames(log), opened, speed)))
     _console.print(f"{log}: {count} messages sent")
+
+
+@app.command(cls=Command)
+def lidar(
+    output: Path = typer.Argument(
+        ..., help="A folder for .npz arrays, a .bag of ROS 1, or .mcap or .db3: a folder of ROS 2."
+    ),
+    world: str = typer.Option("room", help="Where: room, street, forest, tunnel, plain."),
+    beams: str | None = typer.Option(None, help="spin16, spin32 or rosette; None: as usual there."),
+    seed: int = SEED,
+    duration: float = typer.Option(40.0, help="Seconds.", min=2.0, max=600.0),
+) -> None:
+    """Write a recording of a simulated lidar and inertial sensor, with its truth."""
+    with _exit_on_error():
+        for name, known in ((world, WORLDS), (beams, BEAMS)):
+            if name is not None and name not in known:
+                raise typer.BadParameter(f"{name}: unknown; there are {', '.join(known)}")
+        fitted = usual_lidar(world, BEAMS[beams] if beams else None)
+        recorded = simulate_lidar(world, seed, duration=duration, lidar=fitted, name=output.stem)
+        if output.suffix in (".bag", ".mcap", ".db3"):
+            write_bag(output, recorded)
+        else:
+            write_sequence(output, recorded)
+    _console.print(
+        f"{output}: {len(recorded.stamp)} scans, {len(recorded.xyz)} points, "
+        f"{len(recorded.imu_stamp)} inertial samples, {duration:.1f} s of {world}"
+    )
 
 
 @app.command(cls=Command)
