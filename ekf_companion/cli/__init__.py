@@ -77,6 +77,11 @@ COMMANDS = {
         "observability",
         "Show when each bias, tilt and heading becomes observable in a flight, and why not before.",
     ),
+    "lidar": _Entry(
+        "lidar",
+        "lidar",
+        "Estimate a lidar's way with an honest covariance, from its scans and inertial samples.",
+    ),
     "doctor": _Entry(
         "doctor", "doctor", "Find the stage that loses the data, and the parameter to change."
     ),

@@ -12,7 +12,7 @@ import numpy as np
 
 from ekf_companion.lidar.motion import Path
 from ekf_companion.lidar.state import State
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.arrays import Array, Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class Deskewed:
     rate_b: Array
     """At the end, rad/s."""
 
-    def chosen(self, index: Array) -> Deskewed:
+    def chosen(self, index: Indices) -> Deskewed:
         """Return some of the points."""
         return Deskewed(
             self.points[index],
@@ -49,7 +49,7 @@ class Deskewed:
         bias = x.gyro_bias - self.prior.gyro_bias
         if bias.any():
             b = b + self.before[:, None] * np.cross(bias, b)
-        return np.einsum("nij,nj->ni", self.turn, b)
+        return np.asarray(np.einsum("nij,nj->ni", self.turn, b))
 
     def in_w(self, x: State) -> Array:
         """Return the points in w at a state, m, shape (n, 3)."""
@@ -58,7 +58,7 @@ class Deskewed:
         q -= self.before[:, None] * (x.vel_w - self.prior.vel_w)
         if late := x.delay - self.prior.delay:
             q += late * (x.vel_w + np.cross(self.rate_b, y) @ x.C_wb.T)
-        return q
+        return np.asarray(q)
 
     def derivatives(self, x: State, normal: Array, *, has_mounting: bool) -> Array:
         """Return the derivative of normal' q by the error state's seen part, shape (n, 12 or 19).

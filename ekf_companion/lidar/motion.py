@@ -206,7 +206,7 @@ def samples_clipped(samples: Samples, start: float, end: float) -> Mask:
 
 
 def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return rate, force, clipped axes, step and vibration between samples, at times between samples."""
+    """Return rate, force, clipped axes, step and vibration at times between samples."""
     last = len(samples.stamp) - 1
     after = np.clip(np.searchsorted(samples.stamp, middle), 1, max(last, 1))
     if last < 1:

@@ -22,7 +22,7 @@ from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import ATT, DOWN, POS, POSE, VEL, N, State
 from ekf_companion.lidar.update import Anchor, correct, first, shift_by_pose
 from ekf_companion.lidar.voxel_map import VoxelMap
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.nav.so3 import skew
 
@@ -184,7 +184,11 @@ class Odometry:
         self._usage[self._count] = 1.0
         self._count += 1
         self._insertions = 0
-        self.map.forget_far(self.x.pos_w, self.settings.map_radius)
+        radius = self.settings.map_radius
+        self.map.forget_far(self.x.pos_w, radius)
+        while len(self.map) > self.settings.most_voxels:
+            radius *= 0.8
+            self.map.forget_far(self.x.pos_w, radius)
         self._drop_anchors()
 
     def _drop_anchors(self) -> None:
@@ -244,7 +248,7 @@ def recentred(x: State) -> tuple[State, Array]:
     return here, G
 
 
-def thin(points: Array, size: float, most: int) -> Array:
+def thin(points: Array, size: float, most: int) -> Indices:
     """Return the index of one point in each voxel, and at most so many, spread evenly."""
     if not len(points):
         return np.zeros(0, dtype=np.int64)

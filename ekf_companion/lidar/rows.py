@@ -28,7 +28,7 @@ from ekf_companion.lidar.voxel_map import LASERS, Planes, VoxelMap
 from ekf_companion.nav.arrays import Array, Indices, Mask
 
 GATE = 5.0
-"""Rows farther from their plane than this many sigmas, of prior and noise, are of something else."""
+"""Sigmas of prior and noise from their plane beyond which rows are of something else."""
 TAIL = 3.0
 """Sigmas at which a row has half its weight: a Cauchy distribution's, 98 % efficient for noise."""
 SEPARATE = 3.0
@@ -137,7 +137,16 @@ def sum_rows(
     shift = settings.range_bias**2 / LASERS
     common = np.repeat([shift, settings.angle_noise**2], 3)
     return Sums(
-        H.shape[1], by_owner, common, int(kept.sum()), U, whole.hold[0], whole.directions[0], whole.sigma[0], rms, usage
+        H.shape[1],
+        by_owner,
+        common,
+        int(kept.sum()),
+        U,
+        whole.hold[0],
+        whole.directions[0],
+        whole.sigma[0],
+        rms,
+        usage,
     )
 
 
@@ -232,9 +241,7 @@ def _sum_outer(a: Array, b: Array, weight: Array, group: Indices, g: int) -> Arr
     return made
 
 
-def _open_directions(
-    found: Array, planes: Planes, weight: Array, apart: dict[int, Array]
-) -> Array:
+def _open_directions(found: Array, planes: Planes, weight: Array, apart: dict[int, Array]) -> Array:
     """Return an orthonormal basis of the directions without hold, shape (3, m).
 
     The normals show them but for their own noise. Rows that kept a little of the true ones would

@@ -45,18 +45,18 @@ class Settings:
     """Of the inertial stamps relative to the lidar's, s; 0: not estimated."""
     is_mounting_estimated: bool = False
 
-    voxel: float = 0.5
+    voxel: float = 0.25
     """Edge of the smallest voxel of the map, m."""
-    levels: int = 3
+    levels: int = 4
     """Sizes of voxels, each twice the one before."""
-    scan_voxel: float = 0.3
+    scan_voxel: float = 0.2
     """One point is taken in each voxel of this size, m."""
     most_points: int = 1200
     """Of a scan that are matched."""
     map_radius: float = 80.0
     """Farther voxels are forgotten, m."""
-    most_voxels: int = 60_000
-    """Of all sizes together."""
+    most_voxels: int = 150_000
+    """Of all sizes together, of some 400 bytes: beyond them the farthest are forgotten."""
     anchors: int = 16
     """Poses of the past that the map is tied to; 0: the map is taken as known."""
     spacing: float = 1.0

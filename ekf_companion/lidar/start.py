@@ -177,7 +177,7 @@ def _fit(
         A += (H * w[:, None]).T @ H
         b += (H * w[:, None]).T @ z
     P = np.linalg.inv(A)
-    return motion + P @ b, P, score
+    return motion + P @ b, np.asarray(P, dtype=np.float64), score
 
 
 def _covariance(x: State, found: Array, mounting: Mounting, settings: Settings) -> Array:

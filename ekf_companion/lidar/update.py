@@ -162,7 +162,7 @@ def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, 
         at += POSE
     # That error is unknown and taken out (Woodbury)
     L = np.linalg.solve(np.diag(1.0 / sums.common) + D, np.column_stack([K.T, d]))
-    return seen, A - K @ L[:, :-1], b - K @ L[:, -1]
+    return seen, np.asarray(A - K @ L[:, :-1]), np.asarray(b - K @ L[:, -1])
 
 
 def _without(open_w: Array, dx: Array) -> Array:
@@ -175,7 +175,7 @@ def _without(open_w: Array, dx: Array) -> Array:
     for block in (POS, VEL):
         kept[block] -= open_w @ (open_w.T @ dx[block])
     kept[ACCEL_BIAS] = kept[DOWN] = 0.0
-    return kept
+    return np.asarray(kept)
 
 
 def first(k: int) -> int:
@@ -191,7 +191,7 @@ def moved_to(lever_w: Array) -> Array:
 
 
 def shift_by_pose(x: State, about_w: Array) -> Array:
-    """Return the derivative of shift and rotation in w at a point by the error of a pose, (6, 6)."""
+    """Return the derivative of shift and rotation at a point, in w, by a pose's error, (6, 6)."""
     T = np.zeros((POSE, POSE))
     T[:3, 3:] = np.eye(3)
     T[:3, :3] = -skew(about_w - x.pos_w) @ x.C_wb
