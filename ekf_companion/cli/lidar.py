@@ -9,7 +9,7 @@ import typer
 
 from ekf_companion.cli import terminal
 from ekf_companion.cli.progress import progress_line
-from ekf_companion.errors import ConfigError, LogError, part_of
+from ekf_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     from ekf_companion.lidar.recording import Mounting
@@ -58,6 +58,15 @@ def lidar(
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Estimate a lidar's way with an honest covariance, from its scans and inertial samples."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from ekf_companion.lidar.readers import read
+    from ekf_companion.lidar.settings import Settings
+    from ekf_companion.lidar.solution import lines_of, solve
+    from ekf_companion.logs.writer import create
+
     with terminal.exit_on_error():
         outputs = [("--out", out) for out in outs or []]
         outputs += [(name, path) for name, path in _named(rel, cov, cloud) if path is not None]
@@ -72,15 +81,6 @@ def lidar(
         if nearest >= farthest:
             raise ConfigError("--nearest: is beyond --farthest")
         pose = None if lidar_pose is None else _mounting(lidar_pose)
-        with part_of("filters", "lidar"):
-            from dataclasses import replace
-
-            import numpy as np
-
-            from ekf_companion.lidar.readers import read
-            from ekf_companion.lidar.settings import Settings
-            from ekf_companion.lidar.solution import lines_of, solve
-            from ekf_companion.logs.writer import create
 
         with progress_line(recording.name):
             found = read(recording, mounting=pose, stamp=stamp, lidar=lidar_topic, imu=imu_topic)

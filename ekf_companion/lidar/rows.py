@@ -38,6 +38,8 @@ AGREEING = 0.2
 LEAST_PLANES = 9.0
 """Planes that a hold must come from, by their weights: one in nine that is of something that moves,
 or of an edge, is then no more than three sigma of the others."""
+PART_PLANES = 4.0
+"""The same of one part of the map: a corner of it is three planes."""
 CHANCE = 3.0
 """Standard errors by which a hold must exceed the noise of the normals."""
 
@@ -110,9 +112,9 @@ def sum_rows(
 
     owners, group = np.unique(planes.owner, return_inverse=True)
     # Of each part of the map by itself: an old one that shows nothing along a tunnel holds nothing
-    part = _hold(normal, planes, weight, group, len(owners))
+    part = _hold(normal, planes, weight, group, len(owners), PART_PLANES)
     bare = np.einsum("nij,nj->ni", part.leave[group], normal)
-    whole = _hold(normal, planes, weight, np.zeros_like(group), 1)
+    whole = _hold(normal, planes, weight, np.zeros_like(group), 1, LEAST_PLANES)
     U = np.empty((3, 0))
     if whole.is_lost[0].any():
         U = _open_directions(whole.directions[0][:, whole.is_lost[0]], planes, weight, apart)
@@ -192,7 +194,9 @@ class _Hold(NamedTuple):
     """Of the position along each by these rows alone, m, shape (g, 3)."""
 
 
-def _hold(normal: Array, planes: Planes, weight: Array, group: Indices, g: int) -> _Hold:
+def _hold(
+    normal: Array, planes: Planes, weight: Array, group: Indices, g: int, least: float
+) -> _Hold:
     """Find in which directions the normals of each group hold the position."""
     A = _sum_outer(normal, normal, weight, group, g)
     along = planes.along
@@ -220,7 +224,7 @@ def _hold(normal: Array, planes: Planes, weight: Array, group: Indices, g: int) 
         count[:, j] = total**2 / np.maximum(np.bincount(there, held[:, j] ** 2, g), 1e-30)
     hold = np.clip(share - CHANCE * chance, 0.0, 1.0)
     hold[hold > 0.98] = 1.0
-    hold[count < LEAST_PLANES] = 0.0
+    hold[count < least] = 0.0
     size = np.linalg.norm(white, axis=1)
     return _Hold(
         root @ (V * hold[:, None]) @ V.transpose(0, 2, 1) @ inverse,
