@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from ekf_companion.analysis.batch import COLUMNS, Row
 from ekf_companion.errors import ConfigError, require
+from ekf_companion.fleet.row import COLUMNS, Row
 from ekf_companion.logs.recording import counted
 from ekf_companion.logs.writer import create
 
@@ -65,8 +65,8 @@ def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
     found = []
     for row in rows:
         line = f"{row['log']!s:{longest}}  "
-        if row["outcome"] == "failed":
-            found.append(f"{line}failed: {row['why']}")
+        if row["outcome"] != "estimated":
+            found.append(f"{line}{row['outcome']}: {row['why']}")
             continue
         line += f"{row['duration_s'] or 0:.0f} s, {row['verdict']}"
         # At least the grade and the size are read, also behind a long name
