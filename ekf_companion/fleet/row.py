@@ -8,26 +8,22 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.analysis import score
+from ekf_companion.analysis.flight_review import FlightReview, review
 from ekf_companion.config.config import Config
 from ekf_companion.core.memory.aid import BY_KIND
-from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import CompanionError, UnreachableError
 from ekf_companion.fleet.folder import printable
 from ekf_companion.fleet.source import Source, printable_name
-from ekf_companion.logs.estimate import of_table
-from ekf_companion.logs.onboard import Onboard
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Status, Table, join
-from ekf_companion.replay.log_source import onboard
-from ekf_companion.review.report import Report
-from ekf_companion.review.review import Review
-from ekf_companion.review.verdict import judge_log
+from ekf_companion.nav.state import Status
 
 Row = dict[str, str | int | float | None]
 """Results of one log, by column; None: not known."""
 
 SKIPPED = {"truth": 30.0, "autopilot": 20.0}
 """Seconds at the start that are left out of the errors, as in ``compare``."""
+_TRAJECTORY = {"truth": "truth", "autopilot": "own"}
+"""Fields of a report, in the order in which a review compares with them."""
 _RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, *BY_KIND)
 _ERRORS = {
     "horizontal_m": ("horizontal", 1.0),
@@ -85,13 +81,9 @@ def examine(path: Path, config: Config, name: str | None = None) -> Row:
     """
     name = printable_name(path) if name is None else name
     try:
-        review = Review(path, config, Pipeline)
-        tables = [block.table for block in review.blocks()]
-        report = review.finish()  # raises where there is no table
-        texts = onboard(review.run.log, review.run.autopilot)
+        return row_of(name, review(path, config))
     except CompanionError as error:
         return failed_of(error, path, name)
-    return row_of(name, join(tables), report, texts)
 
 
 def examine_source(source: Source, config: Config) -> Row:
@@ -117,19 +109,20 @@ def failed(name: str, why: str) -> Row:
     return {**dict.fromkeys(COLUMNS), **row}
 
 
-def row_of(name: str, table: Table, report: Report, texts: Onboard) -> Row:
+def row_of(name: str, flight: FlightReview) -> Row:
     """Return the row of a log that was estimated from."""
-    return {**dict.fromkeys(COLUMNS), **dict(_found(name, table, report)), **_about(texts, report)}
+    return {**dict.fromkeys(COLUMNS), **dict(_found(name, flight)), **_about(flight)}
 
 
-def _about(texts: Onboard, report: Report) -> Row:
+def _about(flight: FlightReview) -> Row:
     """Return what a log says of vehicle and receiver; None: nothing."""
+    texts = flight.onboard
 
     def of(names: tuple[str, ...]) -> str:
         values = texts.parameters
         return ", ".join(f"{one} {values[one]:.6g}" for one in names if values.get(one))
 
-    rate = report.rates.get(Kind.GNSS, 0.0)
+    rate = flight.report.rates.get(Kind.GNSS, 0.0)
     receiver = [of(_RECEIVER), f"{rate:.0f} Hz" if rate >= 0.5 else ""]
     return {
         "firmware": printable_name(texts.firmware) or None,
@@ -138,10 +131,11 @@ def _about(texts: Onboard, report: Report) -> Row:
     }
 
 
-def _found(name: str, table: Table, report: Report) -> Iterator[tuple[str, str | int | float]]:
+def _found(name: str, flight: FlightReview) -> Iterator[tuple[str, str | int | float]]:
     """Yield the results of a log, by column."""
+    report = flight.report
     yield from {"log": name, "outcome": "estimated", "autopilot": report.family}.items()
-    yield "estimates", len(table)
+    yield "estimates", len(flight.table)
     yield "duration_s", round(sum(report.seconds.values()), 3)
     for kind in _RATES:
         if report.counts[kind]:
@@ -157,13 +151,12 @@ def _found(name: str, table: Table, report: Report) -> Iterator[tuple[str, str |
             yield "gnss_delay_s", health.gnss_delay
         if report.resets:
             yield "last_reset", report.reset_reason
-    estimate = of_table(table, "ekf-companion")
-    for whose, other in (("autopilot", report.own), ("truth", report.truth)):
-        if other is not None:
-            found = score.score(estimate, other, SKIPPED[whose])
-            for name, (field, scale) in _ERRORS.items():
-                if (spread := getattr(found, field)) is not None:
-                    yield f"{whose}_{name}", spread.rms * scale
-    judgement = judge_log(report)
+    whose_others = [whose for whose in SKIPPED if getattr(report, _TRAJECTORY[whose]) is not None]
+    for whose, other in zip(whose_others, flight.others, strict=True):
+        found = score.score(flight.ours, other, SKIPPED[whose])
+        for column, (field, scale) in _ERRORS.items():
+            if (spread := getattr(found, field)) is not None:
+                yield f"{whose}_{column}", spread.rms * scale
+    judgement = flight.judgement
     yield from {"grade": judgement.grade, "verdict": judgement.sentence}.items()
     yield "notes", "; ".join(report.notes)

@@ -7,9 +7,11 @@ import io
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from ekf_companion.errors import ConfigError, require
 from ekf_companion.fleet.row import COLUMNS, Row
+from ekf_companion.fleet.source import printable_name
 from ekf_companion.logs.recording import counted
 from ekf_companion.logs.writer import create
 
@@ -51,6 +53,29 @@ def write(path: Path, rows: Sequence[Row]) -> None:
         writer.writeheader()
         writer.writerows(rows)
         file.write(text.getvalue().encode())
+
+
+def write_arrow(path: Path, table: Any) -> None:
+    """Write a ``pyarrow.Table`` by the file's suffix.
+
+    Raises:
+        LogError: The file cannot be written.
+    """
+    with create(path) as file:
+        if path.suffix == ".parquet":
+            from pyarrow import parquet
+
+            parquet.write_table(table, file)
+            return
+        for batch in table.to_batches(max_chunksize=10_000) or [table]:
+            text = io.StringIO()
+            writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
+            if file.tell() == 0:
+                writer.writeheader()
+            for row in batch.to_pylist():
+                texts = {name: printable_name(one) for name, one in row.items() if type(one) is str}
+                writer.writerow({**row, **texts})
+            file.write(text.getvalue().encode())
 
 
 def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
