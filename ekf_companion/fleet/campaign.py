@@ -16,6 +16,7 @@ from ekf_companion.fleet.dataset import Partition
 from ekf_companion.fleet.executor import Executor, Lost, largest_first
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.observations import events, histograms
+from ekf_companion.fleet.remote import CHANGES
 from ekf_companion.fleet.row import failed, failed_of, row_of
 from ekf_companion.fleet.run import Progress
 from ekf_companion.fleet.source import Source, content_of
@@ -112,7 +113,7 @@ def store(source: Source, config: Config, into: Partition) -> tuple[str, str]:
             else:
                 row, found = row_of(source.name, flight), flight
             if content_of(path) != content:
-                return "unread", "it changed while it was read; the next run reads it"
+                return "unread", CHANGES
             row |= dict(source.about)
             parts = () if found is None else (tuple(events(found)), tuple(histograms(found)))
             dataset.write_log(into, row, source.mark, content, *parts)

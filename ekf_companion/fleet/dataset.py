@@ -148,9 +148,8 @@ def pack(names: Sequence[str], into: Partition) -> None:
     for table in TABLES:
         with opened(into.folder(table)) as (system, folder):
             there = {*_files(system, folder)}
-            for one in names:
-                if one in there:
-                    system.rm_file(f"{folder}/{one}")
+            if gone := [f"{folder}/{one}" for one in names if one in there]:
+                system.rm(gone)
 
 
 def read_files(

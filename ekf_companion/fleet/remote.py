@@ -7,6 +7,7 @@ a store's package, whose text may hold them, is replaced by a sentence.
 
 from __future__ import annotations
 
+import logging
 import re
 import tempfile
 import time
@@ -18,6 +19,7 @@ from urllib.parse import unquote, urlsplit
 
 from ekf_companion.errors import (
     CompanionError,
+    ConfigError,
     LogError,
     MissingPackageError,
     UnreachableError,
@@ -31,6 +33,9 @@ ATTEMPTS = 3
 """How often an object is fetched that is cut off, or that changes meanwhile."""
 PAUSE_S = 0.5
 """Pause before the second attempt; before each further one, twice as long."""
+CHANGES = "it changes while it is read; the next run reads it"
+_TALKATIVE = ("aiobotocore", "botocore", "s3fs", "gcsfs", "fsspec", "aiohttp", "asyncio")
+"""Loggers of the stores' packages, whose lines and tracebacks hold signed URLs."""
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 
 
@@ -84,6 +89,8 @@ def _package(error: ImportError) -> str:
 
 def _why(error: Exception) -> str:
     kind = type(error).__name__
+    if kind in ("FileExpired", "PreconditionFailed"):  # the store compares ETags itself
+        return CHANGES
     if "Credential" in kind or "Token" in kind:
         return "there is no key for it, or an expired one; give one as the store's own tools want"
     status = getattr(error, "status", None)
@@ -96,6 +103,15 @@ def file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and the path in it."""
     with part_of("fleet", shown(url)):
         import fsspec
+    for name in _TALKATIVE:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        with sentences(shown(url)):
+            fsspec.get_filesystem_class(url.partition("://")[0].lower())
+    except UnreachableError:
+        raise ConfigError(
+            f"{shown(url)}: no store is known by this name; known are s3://, gs://, https://"
+        ) from None
     with sentences(shown(url)):
         system, path = fsspec.core.url_to_fs(url)
         return system, str(path)
@@ -113,7 +129,11 @@ def find(url: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
     scheme, name = url.partition("://")[0], shown(url)
     begin = name[: len(name) - len(_inner(name))] if scheme.startswith("http") else f"{scheme}://"
     with sentences(name):
-        if not any(letter in path for letter in "*?["):
+        # What follows a ? in the URL of a web server is no pattern
+        if not any(
+            letter in (urlsplit(url).path if scheme.startswith("http") else path)
+            for letter in "*?["
+        ):
             # A signature belongs to this one object
             if suffix_of(Path(PurePosixPath(urlsplit(url).path).name)) in SUFFIXES:
                 yield url, name, _properties(system.info(path))
@@ -187,4 +207,4 @@ def _fetch(url: str, name: str, path: Path) -> None:
         system.invalidate_cache()
         after = _properties(system.info(inner))
         if before != after or (after["size"] is not None and size != after["size"]):
-            raise UnreachableError(f"{name}: it changes while it is read; the next run reads it")
+            raise UnreachableError(f"{name}: {CHANGES}")

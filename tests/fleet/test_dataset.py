@@ -10,30 +10,12 @@ from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.fleet import campaign, dataset
-from ekf_companion.fleet.executor import KILLED, Lost
+from ekf_companion.fleet.executor import KILLED
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.load import builds, load
 from ekf_companion.fleet.row import COLUMNS, examine
 from sim_autopilot.__main__ import app as sim
-
-
-class InPlace:
-    """An executor without processes, which may lose an item, or end."""
-
-    def __init__(self, lost="", most=99):
-        self.asked, self._lost, self._most = [], lost, most
-
-    def run(self, task, items):
-        for item in items:
-            name = getattr(item, "name", "")
-            if self._lost and name.endswith(self._lost):
-                yield item, Lost(KILLED)
-                continue
-            if name:
-                if len(self.asked) == self._most:
-                    raise KeyboardInterrupt
-                self.asked.append(Path(name).name)
-            yield item, task(item)
+from tests.fleet.in_place import InPlace
 
 
 @pytest.fixture(scope="module")
