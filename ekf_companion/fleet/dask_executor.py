@@ -79,7 +79,7 @@ class Dask:
             cluster = LocalCluster(
                 n_workers=self._jobs,
                 threads_per_worker=1,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
             )
             return _Closing(Client(cluster), cluster)
