@@ -167,7 +167,7 @@ def read_files(
         there = sorted(_files(system, inner))
         wanted = there if names is None else sorted({*there} & {*names})
         for name in wanted:
-            where = f"{_shown(folder)}/{name}"
+            where = f"{shown(folder)}/{name}"
             with opened(folder), system.open(f"{inner}/{name}", "rb") as file:
                 data = file.read()
             try:
@@ -179,7 +179,8 @@ def read_files(
                 ) from None
 
 
-def _shown(place: str) -> str:
+def shown(place: str) -> str:
+    """Return a folder, or a URL without its secrets."""
     return remote.shown(place) if remote.is_url(place) else place
 
 

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 from ekf_companion.errors import ConfigError, LogError, require
 from ekf_companion.fleet import dataset, remote
-from ekf_companion.fleet.dataset import TABLES, Partition
-from ekf_companion.fleet.row import COLUMNS
+from ekf_companion.fleet.dataset import TABLES, Partition, shown
 
 _FOLDER = re.compile(r"version=([^/=]+)/config=([0-9a-f]+)$")
 NEEDED = ("log", "outcome")
@@ -39,7 +38,7 @@ def builds(place: str) -> list[Build]:
         there = system.glob(f"{base}/version=*/config=*") if system.exists(base) else []
     found = [Build(*match.groups()) for one in there if (match := _FOLDER.search(str(one)))]
     if not found:
-        raise ConfigError(f"{_shown(place)}: holds no results; write some: batch LOGS -o {place}")
+        raise ConfigError(f"{shown(place)}: holds no results; write some: batch LOGS -o {place}")
     return sorted(found)
 
 
@@ -54,7 +53,7 @@ def select(place: str, wanted: str) -> Build:
         return found[0]
     names = ", ".join(map(str, found or builds(place)))
     what = f"several builds begin with {wanted!r}" if found else f"no build begins with {wanted!r}"
-    raise ConfigError(f"{_shown(place)}: {what}; name one with --of: {names}")
+    raise ConfigError(f"{shown(place)}: {what}; name one with --of: {names}")
 
 
 def load(place: str, table: str = "logs", of: str = "") -> Any:
@@ -69,7 +68,7 @@ def load(place: str, table: str = "logs", of: str = "") -> Any:
         ConfigError: There is no such table.
         LogError: It cannot be read, or is none of a fleet.
     """
-    require("fleet", _shown(place), "pyarrow.parquet")
+    require("fleet", shown(place), "pyarrow.parquet")
     if not remote.is_url(place) and Path(place).is_file():
         if table != "logs":
             raise ConfigError(f"{place}: holds no table of {table}; a data set does")
@@ -85,7 +84,7 @@ def _of_data_set(place: str, table: str, build: Build) -> Any:
     parts: list[Any] = []
     known: Any = pa.array([], pa.string())
     for name, part in dataset.read_files(into.folder(table), None):
-        checked = _checked(part, table, f"{_shown(into.folder(table))}/{name}")
+        checked = _checked(part, table, f"{shown(into.folder(table))}/{name}")
         fresh = compute.invert(compute.is_in(checked.column("key"), value_set=known))
         checked = checked.filter(fresh)
         known = pa.concat_arrays([known, checked.column("key").combine_chunks().unique()])
@@ -144,7 +143,8 @@ def _checked(table: Any, name: str, where: str) -> Any:
     schema = dataset.schema(name)
     needed: Sequence[str] = NEEDED if name == "logs" else ("key", "log")
     names = table.column_names
-    if len({*names}) < len(names) or (missing := {*needed} - {*names}):
+    missing = {*needed} - {*names}
+    if missing or len({*names}) < len(names):
         lacks = (
             f"it has no column {', '.join(sorted(missing))}" if missing else "columns come twice"
         )
@@ -163,10 +163,6 @@ def _checked(table: Any, name: str, where: str) -> Any:
     return pa.table(columns, schema=schema)
 
 
-def _shown(place: str) -> str:
-    return remote.shown(place) if remote.is_url(place) else place
-
-
 def export(table: Any, path: Path) -> None:
     """Write a table as .csv or .parquet, byte for byte the same of the same rows.
 
@@ -177,6 +173,3 @@ def export(table: Any, path: Path) -> None:
 
     files.check(path)
     files.write_arrow(path, table)
-
-
-__all__ = ["COLUMNS", "Build", "builds", "export", "load", "select"]
