@@ -5,7 +5,8 @@ CompanionError
 ├── DataError     arrays that cannot be meant: units, axes, times (a ValueError too)
 ├── LinkError     a URL that names no link, or a link that cannot be opened at all
 ├── LogError      a recorded file that cannot be read, or holds nothing to estimate from
-│   └── FilterError  a filter whose mathematics end before the recording does
+│   ├── FilterError  a filter whose mathematics end before the recording does
+│   └── UnreachableError  a log of a store that does not answer now
 ├── MissingPackageError  a package that an extra brings is not installed
 └── NotCompiledError  the sources are not compiled, and nothing runs them (an ImportError)
 
@@ -44,6 +45,10 @@ class LogError(CompanionError):
 
 class FilterError(LogError):
     """A filter cannot go on: its mathematics end before the recording does."""
+
+
+class UnreachableError(LogError):
+    """A log cannot be fetched now; the next run may."""
 
 
 class MissingPackageError(CompanionError):

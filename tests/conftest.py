@@ -26,7 +26,7 @@ SLOWEST = (
     "tests/arrays/test_python_docs.py",
     "tests/daemon/test_page.py",
     "tests/engine/test_stamps.py",
-    "tests/analysis/test_batch.py",
+    "tests/fleet/test_batch.py",
     "tests/doctor/test_examination.py",
     "tests/daemon/test_daemon.py",
     "tests/daemon/test_monitors.py",

@@ -36,13 +36,14 @@ import zstandard
 from benchmarks.reliability.damage import LARGEST, damaged, flip
 from benchmarks.reliability.fuzz import FuzzedCompanion, undisturbed
 from benchmarks.reliability.whole_files import FLIGHT_S, InPlace, whole_files
-from ekf_companion.analysis import batch_run, batch_table
 from ekf_companion.cli import COMMANDS, app, terminal
 from ekf_companion.config.config import Config
 from ekf_companion.engine.checkpoint_parts import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.tuning import Tuning
 from ekf_companion.engine.warm_start import WarmStart
+from ekf_companion.fleet import run, table
+from ekf_companion.fleet.source import of_path
 from ekf_companion.replay.log_source import READERS
 
 GIB = 1 << 30
@@ -239,10 +240,10 @@ def _go_on(folder: Path, data: bytes) -> None:
     journal = folder / "table.csv.journal"
     journal.write_bytes(data.replace(b"LOG", str(folder).encode()))
     with exit_as_a_command(), terminal.exit_on_error():
-        rows = batch_run.run(logs, Config(), journal, InPlace())
+        rows = run.run([of_path(log) for log in logs], Config(), journal, InPlace())
         for name in ("table.csv", "table.parquet"):
-            batch_table.write(folder / name, rows)
-    for line in batch_table.lines(rows, 80):
+            table.write(folder / name, rows)
+    for line in table.lines(rows, 80):
         print(line)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,11 @@ import yaml
 
 from benchmarks.document import DATA
 from benchmarks.reliability.fuzz import FuzzedCompanion, undisturbed
-from ekf_companion.analysis import batch_run
-from ekf_companion.analysis.batch import Row
 from ekf_companion.config.config import Config, describe_config
 from ekf_companion.engine.checkpoint_parts import Clocks
+from ekf_companion.fleet import run
+from ekf_companion.fleet.executor import Item, Lost, Result
+from ekf_companion.fleet.source import of_path
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
@@ -114,10 +115,12 @@ def _checkpoint() -> bytes:
 class InPlace:
     """An executor of ``batch`` that starts no process."""
 
-    def run(self, task: batch_run.Task, logs: Sequence[Path]) -> Iterator[tuple[Path, Row]]:
-        """Yield each log and its row."""
-        for log in logs:
-            yield log, task(log)
+    def run(
+        self, task: Callable[[Item], Result], items: Iterable[Item]
+    ) -> Iterator[tuple[Item, Result | Lost]]:
+        """Yield each item and its result."""
+        for item in items:
+            yield item, task(item)
 
 
 def _journal(table: bytes) -> bytes:
@@ -128,5 +131,5 @@ def _journal(table: bytes) -> bytes:
         logs[0].write_bytes(table)
         for log in logs:
             log.touch()
-        batch_run.run(logs, Config(), place / "journal", InPlace())
+        run.run([of_path(log) for log in logs], Config(), place / "journal", InPlace())
         return (place / "journal").read_bytes().replace(folder.encode(), b"LOG")

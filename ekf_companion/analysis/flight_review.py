@@ -170,7 +170,7 @@ def review(
         bands=bands(table),
         jumps_ns=tuple(table.stamp_ns[1:][np.diff(table.column("reset_count")) != 0.0].tolist()),
         onboard=_on_drawn_clock(onboard(run.log, run.autopilot), shift_ns),
-        settings=_changed(config),
+        settings=changed_settings(config),
         tiles=config.http.tiles,
         tiles_credit=config.http.tiles_credit,
         begins_ns=tuple(
@@ -182,7 +182,7 @@ def review(
     )
 
 
-def _changed(config: Config) -> dict[str, str]:
+def changed_settings(config: Config) -> dict[str, str]:
     """Return the settings of the estimator that are not the defaults."""
     usual = Config()
     sections = {field.name for field in fields(FilterSettings)}

@@ -67,6 +67,11 @@ COMMANDS = {
     "batch": _Entry(
         "batch", "batch", "Estimate from many logs; write one table with a row for each."
     ),
+    "fleet": _Entry(
+        "fleet",
+        "fleet",
+        "Ask the results of many logs: the worst, noise, two versions, SQL, a report; tune.",
+    ),
     "calibrate": _Entry(
         "calibrate",
         "calibrate",

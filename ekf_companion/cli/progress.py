@@ -52,7 +52,10 @@ class Progress:
             return f"{self._title}: {seconds:.0f} s"
         if self._in_seconds:
             return f"{self._title}: {done * 1e-3:.0f} of {total * 1e-3:.0f} s"
-        return f"{self._title}: {min(done / total, 1.0):.0%}, {seconds:.0f} s"
+        share = min(done / total, 1.0)
+        # What has begun and is not done yet counts as nothing: at first the rest seems longer
+        rest = f", {_in_words(seconds * (1.0 / share - 1.0))} left" if 0.0 < share < 1.0 else ""
+        return f"{self._title}: {share:.0%}, {seconds:.0f} s{rest}"
 
     def due(self, seconds: float) -> str:
         """Return the text to write after so many seconds; empty: nothing."""
@@ -63,6 +66,13 @@ class Progress:
             return f"{_CLEAR}{self.text(seconds)[: self._width - 1]}\r"
         self._next_s = 2.0 * seconds
         return f"{self.text(seconds)}\n"
+
+
+def _in_words(seconds: float) -> str:
+    """Return a time to wait: ``40 s``, ``7 min``, ``3.2 h``."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 @contextmanager

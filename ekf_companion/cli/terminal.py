@@ -18,6 +18,7 @@ from ekf_companion.logs.source import real_path
 
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
+    from ekf_companion.fleet.executor import Executor
     from ekf_companion.logs.recording import Recording
     from ekf_companion.nav.state import Trajectory
 
@@ -60,6 +61,27 @@ SmoothOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
 ]
+
+JobsOption = Annotated[int, typer.Option(min=1, max=256, help="Processes.")]
+DaskOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Dask's scheduler, tcp://HOST:8786, or local."),
+]
+
+
+def executor(jobs: int, dask: str | None) -> Executor:
+    """Return what runs the tasks of many logs.
+
+    Raises:
+        MissingPackageError: Dask is asked for and not installed.
+    """
+    if dask is not None:
+        from ekf_companion.fleet.dask_executor import Dask
+
+        return Dask(dask, jobs)
+    from ekf_companion.fleet.executor import Processes
+
+    return Processes(jobs)
 
 
 def read_truth(path: Path | None) -> Trajectory | None:

@@ -31,6 +31,10 @@ class Look:
     """Mean normalised innovation squared over its degrees of freedom, by aid; NaN: none."""
     reset: str
     """Reason of the last reset in it; empty: none."""
+    gyro_noise: float
+    """White noise learnt by then, rad/s per square root of Hz."""
+    accel_noise: float
+    """Likewise, m/s^2 per square root of Hz."""
 
 
 class WatchedPipeline(Pipeline):
@@ -55,7 +59,7 @@ class WatchedPipeline(Pipeline):
         return join(tables)
 
     def _counters(self) -> tuple[Array, Array, Array, int]:
-        health = self.health()
+        self._health = health = self.health()
         counts = np.array([[health.verdicts[aid][why] for why in Verdict] for aid in Aid])
         return counts, *self.nis_sums(), health.resets
 
@@ -74,6 +78,8 @@ class WatchedPipeline(Pipeline):
                 fused={aid: int(fused[aid]) for aid in Aid},
                 refused={(aid, why): int(new[aid, why]) for aid in Aid for why in REFUSALS},
                 nis=mean,
-                reset=self.health().reset_reason if resets > resets_0 else "",
+                reset=self._health.reset_reason if resets > resets_0 else "",
+                gyro_noise=self._health.gyro_noise,
+                accel_noise=self._health.accel_noise,
             )
         )

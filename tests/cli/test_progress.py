@@ -17,9 +17,9 @@ def test_nothing_is_written_while_nobody_wonders():
 def test_a_terminal_s_line_is_written_again_in_its_place():
     progress = Progress("a.bin", is_terminal=True)
     progress(30, 120)
-    assert progress.due(2.0) == "\r\x1b[2Ka.bin: 25%, 2 s\r"
+    assert progress.due(2.0) == "\r\x1b[2Ka.bin: 25%, 2 s, 6 s left\r"
     progress(60, 120)
-    assert progress.due(2.5) == "\r\x1b[2Ka.bin: 50%, 2 s\r"
+    assert progress.due(2.5) == "\r\x1b[2Ka.bin: 50%, 2 s, 2 s left\r"
 
 
 def test_in_a_pipe_lines_become_ever_more_seldom():
@@ -93,3 +93,12 @@ def test_a_stream_that_is_closed_stops_nothing(tmp_path, monkeypatch):
         monkeypatch.setattr(sys, "stderr", stream)
         with progress_line("a.bin"):
             stream.close()
+
+
+def test_the_time_that_is_left_is_told_in_its_own_unit():
+    progress = Progress("9 logs", is_terminal=False)
+    progress(1, 100)
+    assert progress.text(10.0) == "9 logs: 1%, 10 s, 16 min left"
+    assert progress.text(1000.0) == "9 logs: 1%, 1000 s, 27.5 h left"
+    progress(100, 100)
+    assert progress.text(1000.0) == "9 logs: 100%, 1000 s"

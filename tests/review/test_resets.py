@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ekf_companion.analysis.batch import examine
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.fleet.row import examine
 from ekf_companion.nav.measurements import Restart
 from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.review.account import resets_of, sentences

@@ -5,7 +5,10 @@ import signal
 import tempfile
 from pathlib import Path
 
+from ekf_companion.fleet import build
 from ekf_companion.logs import source
+
+_BUILD_NAME = build.build_name
 
 
 def kill_at_b(log: Path) -> dict[str, str]:
@@ -33,3 +36,22 @@ def cut_at_b(log: Path) -> dict[str, str]:
             file.truncate(10)
             return {"why": f"{sum(mapped.data)} bytes"}
     return {"why": "examined"}
+
+
+def double(number: int) -> int:
+    """Return twice a number."""
+    return 2 * number
+
+
+def die_once(number: int, folder: Path) -> int:
+    """Return twice a number; at 5, die the first time."""
+    mark = folder / f"{number}-died"
+    if number == 5 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
+def pretend(version: str | None) -> None:
+    """Call this process's build by another name; None: by its own again."""
+    build.build_name = _BUILD_NAME if version is None else lambda: version

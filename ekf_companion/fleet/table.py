@@ -7,9 +7,11 @@ import io
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from ekf_companion.analysis.batch import COLUMNS, Row
 from ekf_companion.errors import ConfigError, require
+from ekf_companion.fleet.row import COLUMNS, Row
+from ekf_companion.fleet.source import printable_name
 from ekf_companion.logs.recording import counted
 from ekf_companion.logs.writer import create
 
@@ -53,6 +55,29 @@ def write(path: Path, rows: Sequence[Row]) -> None:
         file.write(text.getvalue().encode())
 
 
+def write_arrow(path: Path, table: Any) -> None:
+    """Write a ``pyarrow.Table`` by the file's suffix.
+
+    Raises:
+        LogError: The file cannot be written.
+    """
+    with create(path) as file:
+        if path.suffix == ".parquet":
+            from pyarrow import parquet
+
+            parquet.write_table(table, file)
+            return
+        for batch in table.to_batches(max_chunksize=10_000) or [table]:
+            text = io.StringIO()
+            writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
+            if file.tell() == 0:
+                writer.writeheader()
+            for row in batch.to_pylist():
+                texts = {name: printable_name(one) for name, one in row.items() if type(one) is str}
+                writer.writerow({**row, **texts})
+            file.write(text.getvalue().encode())
+
+
 def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
     """Return a line on each log with its verdict, and the number of each outcome.
 
@@ -65,8 +90,8 @@ def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
     found = []
     for row in rows:
         line = f"{row['log']!s:{longest}}  "
-        if row["outcome"] == "failed":
-            found.append(f"{line}failed: {row['why']}")
+        if row["outcome"] != "estimated":
+            found.append(f"{line}{row['outcome']}: {row['why']}")
             continue
         line += f"{row['duration_s'] or 0:.0f} s, {row['verdict']}"
         # At least the grade and the size are read, also behind a long name

@@ -13,20 +13,22 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from ekf_companion.analysis import batch_run
-from ekf_companion.analysis.batch import COLUMNS, examine, failed, find_logs, left_out
-from ekf_companion.analysis.batch_run import Processes, run
-from ekf_companion.analysis.batch_table import lines
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.fleet import run as batch_run
+from ekf_companion.fleet.executor import Processes
+from ekf_companion.fleet.folder import find_logs, left_out
+from ekf_companion.fleet.row import COLUMNS, examine, failed
+from ekf_companion.fleet.source import of_path
+from ekf_companion.fleet.table import lines
 from ekf_companion.logs.estimate import COLUMNS as ESTIMATE_COLUMNS
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.review.convert import convert
 from sim_autopilot.__main__ import app as sim
-from tests.analysis import batch_tasks
 from tests.daemon.waiting import LIMIT
+from tests.fleet import batch_tasks
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,10 @@ def expected(folder):
 def rows_of(path: Path):
     with path.open() as file:
         return list(csv.DictReader(file))
+
+
+def run(logs, *arguments):
+    return batch_run.run([of_path(log) for log in logs], *arguments)
 
 
 def as_text(rows):
@@ -167,8 +173,8 @@ class Counted:
 
     def run(self, task, logs):
         for log in logs:
-            self.asked.append(log.name)
-            yield log, failed(log, "examined by nobody")
+            self.asked.append(Path(log.place).name)
+            yield log, failed(log.name, "examined by nobody")
 
 
 def test_what_stands_in_the_journal_is_not_examined_again_unless_it_changed(folder, tmp_path):
@@ -206,10 +212,10 @@ def test_progress_counts_the_bytes_of_the_logs(folder, tmp_path):
     ],
 )
 def test_a_log_that_kills_its_process_stops_no_other(task, jobs, words):
-    rows = {log.name: row["why"] for log, row in Processes(jobs).run(task, [*map(Path, "abc")])}
-    assert {"a", "b", "c"} == rows.keys()
-    assert rows["a"] == rows["c"] == "examined"
-    assert rows["b"].startswith(words)
+    found = {log.name: one for log, one in Processes(jobs).run(task, map(Path, "abc"))}
+    assert {"a", "b", "c"} == found.keys()
+    assert found["a"] == found["c"] == {"why": "examined"}
+    assert found["b"].why.startswith(words)
 
 
 def test_a_log_that_vanishes_has_a_row_too(folder, tmp_path):

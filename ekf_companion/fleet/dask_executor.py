@@ -1,0 +1,139 @@
+"""An executor of a Dask cluster: a scheduler that runs somewhere, or workers on this machine."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from typing import Any
+
+from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.fleet.build import build_name
+from ekf_companion.fleet.executor import KILLED, Item, Lost, Result, bug
+
+LOCAL = "local"
+"""The address that means workers on this machine."""
+AHEAD = 4
+"""Tasks at the scheduler for each thread of its workers: it always has one to hand out."""
+LEAST_AHEAD = 64
+PATIENCE_S = 30
+"""Time to wait for a scheduler, and for its first worker, s."""
+
+
+class Dask:
+    """An executor of a Dask cluster."""
+
+    def __init__(self, address: str, jobs: int) -> None:
+        """Use the scheduler at an address such as ``tcp://host:8786``, or ``local``.
+
+        Args:
+            address: Of the scheduler.
+            jobs: Worker processes of ``local``, >= 1.
+
+        Raises:
+            MissingPackageError: Dask is not installed.
+        """
+        with part_of("fleet", f"--dask {address}"):
+            import distributed  # noqa: F401
+        self._address, self._jobs = address, jobs
+
+    def run(
+        self, task: Callable[[Item], Result], items: Iterable[Item]
+    ) -> Iterator[tuple[Item, Result | Lost]]:
+        """Yield each item and its result once it is known.
+
+        Dask begins the tasks of a lost worker again; one on which several die has no result.
+
+        Raises:
+            ConfigError: No scheduler answers, it has no workers, or they run another version.
+        """
+        from distributed import as_completed
+
+        with self._client() as client:
+            ahead = max(AHEAD * self._check_workers(client), LEAST_AHEAD)
+            left, name = iter(items), uuid.uuid4().hex
+            pending: dict[str, Item] = {}
+            completed = as_completed()
+
+            def submit(count: int) -> None:
+                for item in islice(left, count):
+                    key = f"ekf-companion-{name}-{len(given)}"
+                    given.append(0)
+                    pending[key] = item
+                    completed.add(client.submit(task, item, key=key, pure=False))
+
+            given = bytearray()  # a byte a task
+            submit(ahead)
+            for future in completed:
+                item = pending.pop(future.key)
+                outcome = _outcome(future)
+                future.release()
+                submit(1)
+                yield item, outcome
+
+    def _client(self) -> Any:
+        from distributed import Client, LocalCluster
+
+        if self._address == LOCAL:
+            cluster = LocalCluster(
+                n_workers=self._jobs,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+            return _Closing(Client(cluster), cluster)
+        try:
+            return _Closing(Client(self._address, timeout=PATIENCE_S))
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"--dask {self._address}: no Dask scheduler answers there "
+                f"({type(error).__name__}); start one with `dask scheduler`, or use --dask local"
+            ) from None
+
+    def _check_workers(self, client: Any) -> int:
+        """Return the number of threads of the workers; refuse workers of another version."""
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except OSError:
+            raise ConfigError(
+                f"--dask {self._address}: the scheduler has no worker; start some with "
+                f"`dask worker {self._address}`"
+            ) from None
+        ours = build_name()
+        try:
+            others = set(client.run(build_name).values()) - {ours}
+        except ImportError:
+            others = {"no ekf-companion, or an older one"}
+        if others:
+            raise ConfigError(
+                f"--dask {self._address}: its workers have {', '.join(sorted(others))}, and this "
+                f"is {ours}; install the same on all"
+            )
+        return sum(client.nthreads().values())
+
+
+class _Closing:
+    """Closes the client, and the cluster behind it."""
+
+    def __init__(self, *parts: Any) -> None:
+        self._parts = parts
+
+    def __enter__(self) -> Any:
+        return self._parts[0]
+
+    def __exit__(self, *_: object) -> None:
+        for part in self._parts:
+            part.close()
+
+
+def _outcome(future: Any) -> Any:
+    """Return what became of a task."""
+    from distributed import KilledWorker
+
+    if future.status == "finished":
+        return future.result()
+    error = future.exception() if future.status == "error" else None
+    if error is None or isinstance(error, KilledWorker):
+        return Lost(KILLED)
+    return bug(error)
