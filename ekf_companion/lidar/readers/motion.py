@@ -87,7 +87,7 @@ def compare_motion(
     if may_shift:
         # Of points without times the middle is the best stamp anyway, and half scans mean nothing
         half = () if timing.origin == "none" else (-0.5, 0.5)
-        steps = (-10, -5, -2, -1, *half, 1, 2, 5, 10)
+        steps = (*range(-10, 0), *half, *range(1, 11))
         tried["shift"] = [Hypothesis(shift=step * timing.period) for step in steps]
     tried["reverse"] = [Hypothesis(reverse=True)]
     tried["scale"] = [Hypothesis(scale=np.pi / 180), Hypothesis(scale=180 / np.pi)]
