@@ -186,7 +186,8 @@ def test_what_can_be_mended_is_named_and_read(tmp_path, name):
     assert (np.diff(stamps) > 0).all()
     if name not in ("stamps of arrival", "scans 0.2 s late"):
         # Whatever was done to it, the stamps are those of the simulator again
-        nearest = np.abs(stamps[:, None] - small().stamp).min(axis=1)
+        middle = 0.05 if name == "no times" else 0.0
+        nearest = np.abs(stamps[:, None] - middle - small().stamp).min(axis=1)
         assert nearest.max() < 1e-3
     assert all((scan.times > -1e-9).all() for scan in recording.scans)
 

@@ -32,6 +32,8 @@ FIRST = 4
 BELIEVED = 5.2
 """Student's t of the mean log ratio over the pairs: one in 20 000 by chance with 15 degrees of
 freedom, for each of some 60 hypotheses."""
+LIKELY = 2.0
+"""The same for one hypothesis alone, one in 30."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +85,9 @@ def compare_motion(
     # What changes nothing but times is tried first: it may be mended
     tried = dict[str, list[Hypothesis]]()
     if may_shift:
-        steps = (-10, -5, -2, -1, -0.5, 0.5, 1, 2, 5, 10)
+        # Of points without times the middle is the best stamp anyway, and half scans mean nothing
+        half = () if timing.origin == "none" else (-0.5, 0.5)
+        steps = (*range(-10, 0), *half, *range(1, 11))
         tried["shift"] = [Hypothesis(shift=step * timing.period) for step in steps]
     tried["reverse"] = [Hypothesis(reverse=True)]
     tried["scale"] = [Hypothesis(scale=np.pi / 180), Hypothesis(scale=180 / np.pi)]
@@ -97,7 +101,9 @@ def compare_motion(
             if pairs.misfit(hypothesis, rough=True).mean() > roughly:
                 continue
             value = pairs.misfit(hypothesis)
-            better = _is_better(value, base) and _is_better(value, still)
+            # A scale that is nearly 0 is no gyro: it must be far better than none
+            helps = BELIEVED if name == "scale" else LIKELY
+            better = _is_better(value, base) and _is_better(value, still, helps)
             if better and value.mean() < misfit.mean():
                 best, kind, misfit = hypothesis, name, value
     times = float(np.exp((base - misfit).mean()))
@@ -138,7 +144,8 @@ def _agreement(base: Array, still: Array, pairs: _Pairs) -> list[str]:
         ]
     # Where scans can be laid on each other by a free turn, the gyro must have told it
     free = pairs.misfit(Hypothesis(), free=True)
-    if _is_better(free, base) and (base - free).mean() > np.log(2.0):
+    helps = _is_better(base, still, LIKELY)
+    if not helps and _is_better(free, base) and (base - free).mean() > np.log(2.0):
         raise LogError(
             f"{pairs.name}: the scans do not turn as the gyro says, and no exchange of axes, unit "
             "or stamp makes them agree: the inertial samples are of another sensor or another time"
@@ -153,6 +160,8 @@ def _shift(
     steps = np.arange(-5, 6) * 0.1 * timing.period
     around = [Hypothesis(shift=best.shift + step) for step in steps]
     finest = min(around, key=lambda one: float(pairs.misfit(one).mean())).shift
+    if timing.origin == "none":
+        finest = best.shift
     share = finest / timing.period
     for place, name in ((-1.0, "end"), (-0.5, "middle")):
         if abs(share - place) < 0.25:
@@ -166,11 +175,11 @@ def _shift(
     ]
 
 
-def _is_better(one: Array, other: Array) -> bool:
-    """Return whether log distances are less in so many pairs that chance is excluded."""
+def _is_better(one: Array, other: Array, least: float = BELIEVED) -> bool:
+    """Return whether log distances are less by more than chance: Student's t above `least`."""
     gain = other - one
     error = gain.std(ddof=1) / np.sqrt(len(gain))
-    return bool(gain.mean() > BELIEVED * error and gain.mean() > 0)
+    return bool(gain.mean() > least * error and gain.mean() > 0)
 
 
 def _every_axes() -> list[tuple[tuple[int, int], ...]]:

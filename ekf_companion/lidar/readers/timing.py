@@ -55,8 +55,8 @@ class Timing:
         times = times[keep]
         if self.reverse:
             times = self.low + self.high - times
-        if self.low < -0.25 * self.period and len(times):
-            start = float(times.min())
+        start = float(times.min()) if len(times) else 0.0
+        if self.low < -0.25 * self.period or (self.reverse and start < 0):
             stamp, times = stamp + start, times - start
         points = stored.points[keep].astype(np.float64)
         if self.length_unit != 1.0:
@@ -182,8 +182,8 @@ def _of_points(
     if not found.has_times:
         return plain, [
             *said,
-            "points have no time of their own: a scan counts as taken at once, and motion within "
-            "it is not undone; have the driver write the time of each point",
+            "points have no time of their own: a scan counts as taken at once, in its middle, and "
+            "motion within it is not undone; have the driver write the time of each point",
         ]
     times = found.times[order]
     times = times[np.isfinite(times).all(axis=1)]
@@ -236,7 +236,8 @@ def _place(timing: Timing, stamp: str | None, sentences: list[str]) -> Timing:
         back = {"start": 0.0, "middle": 0.5, "end": 1.0}[where]
         # Times that are negative say the same already
         if timing.low > -0.25 * timing.period:
-            timing = replace(timing, shift=-back * timing.period)
+            middle = 0.5 if timing.origin == "none" else 0.0
+            timing = replace(timing, shift=(middle - back) * timing.period)
     else:
         sentences.append(f"stamps are of the {where} of a scan by the points' times")
     return timing
