@@ -1,10 +1,10 @@
 """Noise and delay of a receiver, and its lever arm, by maximum likelihood over many flights.
 
-Each flight runs through the estimator with each parameter a step up and a step down, and the sums of
-the log-likelihood of its innovations by blocks of some seconds are kept. Their differences are the
-slopes of the likelihood; the parameters move by Newton's method with the outer product of the
-blocks' slopes for the curvature (Berndt and others). What the receiver states of its accuracy does
-not count meanwhile: it is its real noise that is asked for.
+Each flight runs through the estimator with each parameter a step up and a step down, and the sums
+of the log-likelihood of its innovations by blocks of some seconds are kept. Their differences are
+slopes and curvature of the likelihood; the parameters move by Newton's method, and the scatter of
+the blocks' slopes says how they go together (Berndt and others). What the receiver states of its
+accuracy does not count meanwhile: it is its real noise that is asked for.
 
 The interval of each parameter is by the scatter of the slopes from flight to flight ("sandwich",
 flights as clusters), so that neither innovations that are correlated within a flight nor a model
@@ -49,8 +49,10 @@ PRIOR = np.array([0.3, 0.5, 0.5, 0.5, 2.0, 2.0, 2.0])
 """One sigma of what is known before: it matters only where no flight shows anything."""
 SURE = np.array([0.05, 0.15, 0.15, 0.15, 0.3, 0.3, 0.3])
 """Largest half of a 95 % interval with which a parameter is set; with more it is a comment."""
-MOST_MOVES, NEAR = 8, 0.1
+MOST_MOVES, NEAR = 12, 0.2
 """Iterations, and the move in sigmas with which they end."""
+FLATTEST = 0.3
+"""Least curvature over the scatter of the slopes, which it equals if the model is right."""
 BLOCK = 8.0
 """s: longer than innovations are correlated."""
 SETTLING = 10.0
@@ -151,13 +153,16 @@ def _shown(theta: Array) -> Array:
 def _information(slopes: Sequence[Array], curvatures: Sequence[Array]) -> tuple[Array, Array]:
     """Return the information of all flights, and the covariance of the parameters.
 
-    The curvature itself is in the diagonal, the outer product says how parameters go together.
+    The diagonal is the curvature, or more where a move would be larger than is allowed;
+    the scatter of the blocks' slopes says how parameters go together.
     """
-    outer = np.sum([one @ one.T for one in slopes], axis=0) + np.diag(PRIOR**-2.0)
-    curved = np.sum(curvatures, axis=0) + PRIOR**-2.0
-    scale = np.sqrt(
-        np.where(curved > 0.1 * np.diag(outer), curved, np.diag(outer)) / np.diag(outer)
-    )
+    blocks = np.concatenate(slopes, axis=1)
+    total = np.abs(blocks.sum(axis=1))
+    centred = blocks - blocks.mean(axis=1, keepdims=True)
+    outer = centred @ centred.T + np.diag(PRIOR**-2.0)
+    spread = np.sqrt(np.diag(outer))
+    curved = np.maximum(np.sum(curvatures, axis=0), FLATTEST * spread**2) + PRIOR**-2.0
+    scale = np.sqrt(np.maximum(curved, total / LARGEST)) / spread
     information = outer * np.outer(scale, scale)
     flights = np.array([one.sum(axis=1) for one in slopes])
     flights = flights - flights.mean(axis=0)
