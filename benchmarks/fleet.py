@@ -143,7 +143,8 @@ def coordinator(small: int, listed: int) -> None:
         make_small(root / "logs", small)
         spent = fill(root / "logs", root / "results", Processes(WORKERS))
         print(
-            f"{small} logs of a second: {spent:.0f} s, {1e3 * spent * WORKERS / small:.1f} ms of a core each"
+            f"{small} logs of a second: {spent:.0f} s, "
+            f"{1e3 * spent * WORKERS / small:.1f} ms of a core each"
         )
         print(f"coordinator: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
         for number in range(small, listed):

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ekf_companion.cli import terminal
-from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
     from ekf_companion.fleet.questions import Answer
 
 fleet = typer.Typer(
-    help="Ask the results of many logs: the worst, noise, two versions, SQL, a report; tune.",
+    help="Ask the results of many logs: the worst, noise, two versions, SQL, a report.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -149,32 +148,3 @@ def _answer(answer: Answer, out: Path | None, as_json: bool) -> None:
     export(to_arrow(answer), out)
     for line in answer.notes:
         typer.echo(line)
-
-
-@fleet.command("tune")
-def fleet_tune(
-    logs: Annotated[list[str], typer.Argument(help="Flights of one vehicle, as for batch.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="The .yaml to write.")] = None,
-    config: terminal.ConfigOption = None,
-    jobs: terminal.JobsOption = 1,
-    dask: terminal.DaskOption = None,
-    as_json: terminal.JsonOption = False,
-) -> None:
-    """Fit the receiver's noise, delay and lever arm to many flights of one vehicle."""
-    from ekf_companion.calibrate.result import lines
-    from ekf_companion.fleet import tune
-    from ekf_companion.fleet.listing import Listing
-    from ekf_companion.logs.writer import create
-
-    with terminal.exit_on_error():
-        terminal.check_outputs({"the configuration": config}, [("--out", out)])
-        found = list(Listing(logs))
-        with progress_line(f"{len(found)} flights") as progress:
-            executor = terminal.executor(jobs, dask)
-            fit = tune.tune(found, terminal.load(config), executor, progress)
-        result = tune.result(fit)
-        text = lines(f"ekf-companion fleet tune: {len(found)} flights", result)
-        if out is not None:
-            with create(out) as file:
-                file.write("\n".join([*text, ""]).encode())
-        terminal.show(as_json, result.to_dict(f"{len(found)} flights"), text)

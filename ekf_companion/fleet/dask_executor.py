@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Callable, Iterable, Iterator
-from itertools import islice
+from itertools import count, islice
 from typing import Any
 
 from ekf_companion.errors import ConfigError, part_of
 from ekf_companion.fleet.build import build_name
-from ekf_companion.fleet.executor import KILLED, Item, Lost, Result, bug
+from ekf_companion.fleet.executor import ATTEMPTS, KILLED, Item, Lost, Result, bug
 
 LOCAL = "local"
 """The address that means workers on this machine."""
@@ -53,23 +53,26 @@ class Dask:
         with self._client() as client:
             ahead = max(AHEAD * self._check_workers(client), LEAST_AHEAD)
             left, name = iter(items), uuid.uuid4().hex
-            pending: dict[str, Item] = {}
-            completed = as_completed()
+            pending: dict[str, tuple[Item, int]] = {}
+            numbers, completed = count(), as_completed()
 
-            def submit(count: int) -> None:
-                for item in islice(left, count):
-                    key = f"ekf-companion-{name}-{len(given)}"
-                    given.append(0)
-                    pending[key] = item
-                    completed.add(client.submit(task, item, key=key, pure=False))
+            def submit(item: Item, attempt: int) -> None:
+                key = f"ekf-companion-{name}-{next(numbers)}"
+                pending[key] = item, attempt
+                completed.add(client.submit(task, item, key=key, pure=False))
 
-            given = bytearray()  # a byte a task
-            submit(ahead)
+            for item in islice(left, ahead):
+                submit(item, 1)
             for future in completed:
-                item = pending.pop(future.key)
+                item, attempt = pending.pop(future.key)
                 outcome = _outcome(future)
                 future.release()
-                submit(1)
+                # Dask gives up a task that was on four lost workers, though it killed none of them
+                if outcome == Lost(KILLED) and attempt < ATTEMPTS:
+                    submit(item, attempt + 1)
+                    continue
+                for another in islice(left, 1):
+                    submit(another, 1)
                 yield item, outcome
 
     def _client(self) -> Any:
