@@ -59,8 +59,15 @@ class RelativePose:
 class Odometry:
     """Takes scans in the order of their stamps."""
 
-    def __init__(self, inertial: InertialSamples, mounting: Mounting, settings: Settings) -> None:
-        self.settings, self._mounting = settings, mounting
+    def __init__(
+        self,
+        inertial: InertialSamples,
+        mounting: Mounting,
+        settings: Settings,
+        delay: float = 0.0,
+    ) -> None:
+        """Begin with a guess of the delay of the inertial stamps, s."""
+        self.settings, self._mounting, self._delay = settings, mounting, delay
         self._samples: Samples = prepare(inertial)
         self.map = VoxelMap(settings)
         self.anchors: list[Anchor] = []
@@ -91,8 +98,10 @@ class Odometry:
     def _begin(self) -> list[Estimate]:
         """Find the start, and take the scans that it was found by."""
         scans, self._is_started = self._waiting, True
-        self.x, P = start.find(scans, self._samples, self._mounting, self.settings)
-        self._time = scans[0].stamp
+        self.x, P = start.find(
+            scans, self._samples, self._mounting, self.settings, self._delay
+        )
+        self._time = scans[0].stamp + self._delay
         self.P[:N, :N] = P
         self._waiting = []
         return [self._step(scan) for scan in scans]
