@@ -26,6 +26,8 @@ BEGINNING = 20.0
 """Part of a recording by which mounting and delay are found, s."""
 PASSES = 8
 """Over it, at most."""
+BEYOND = 0.5
+"""Share of a pass's change that is added to it: two thirds of the error are left without it."""
 SETTLED_TURN, SETTLED_DELAY = np.radians(0.05), 3e-4
 """Change of a pass below which it is the last, rad and s."""
 LEAST_SIGMA = 0.1
@@ -202,8 +204,15 @@ def calibrated(recording: Recording, settings: Settings) -> tuple[Recording, flo
             break
         turned = float(np.linalg.norm(log(before.rotation.T @ x.C_bl)))
         is_settled = turned < SETTLED_TURN and abs(x.delay - delay) < SETTLED_DELAY
-        mounting = replace(before, rotation=x.C_bl, position=x.pos_b)
-        recording, delay = replace(recording, mounting=mounting), x.delay
+        # Each pass leaves a share of the error: go farther the same way
+        turn = log(before.rotation.T @ x.C_bl)
+        mounting = replace(
+            before,
+            rotation=x.C_bl @ exp(BEYOND * turn),
+            position=x.pos_b + BEYOND * (x.pos_b - before.position),
+        )
+        recording = replace(recording, mounting=mounting)
+        delay = x.delay + BEYOND * (x.delay - delay)
         if is_settled:
             break
     return recording, delay
