@@ -8,7 +8,7 @@ KERNEL := setup.py ekf_companion/core/memory/overlay.pxd ekf_companion/mavlink/d
 STAMP := $(VENV)/.built
 FLYING := $(VENV)/.built-demo
 
-.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity filters delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
+.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity filters lidar delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -119,6 +119,10 @@ sensitivity: $(STAMP)
 
 filters: $(STAMP)
 	$(BIN)/python -m benchmarks.filters
+
+# Lidar-inertial odometry on the sequences of ../shared; a quarter of an hour. ONLY=room takes a part
+lidar: $(STAMP)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lidar $(ONLY)
 
 # Whether the interval of calibrate delay contains the truth, in 120 flights; seven minutes
 delays: $(STAMP)

@@ -59,8 +59,15 @@ class RelativePose:
 class Odometry:
     """Takes scans in the order of their stamps."""
 
-    def __init__(self, inertial: InertialSamples, mounting: Mounting, settings: Settings) -> None:
-        self.settings, self._mounting = settings, mounting
+    def __init__(
+        self,
+        inertial: InertialSamples,
+        mounting: Mounting,
+        settings: Settings,
+        delay: float = 0.0,
+    ) -> None:
+        """Begin with a guess of the delay of the inertial stamps, s."""
+        self.settings, self._mounting, self._delay = settings, mounting, delay
         self._samples: Samples = prepare(inertial)
         self.map = VoxelMap(settings)
         self.anchors: list[Anchor] = []
@@ -91,8 +98,8 @@ class Odometry:
     def _begin(self) -> list[Estimate]:
         """Find the start, and take the scans that it was found by."""
         scans, self._is_started = self._waiting, True
-        self.x, P = start.find(scans, self._samples, self._mounting, self.settings)
-        self._time = scans[0].stamp
+        self.x, P = start.find(scans, self._samples, self._mounting, self.settings, self._delay)
+        self._time = scans[0].stamp + self._delay
         self.P[:N, :N] = P
         self._waiting = []
         return [self._step(scan) for scan in scans]
@@ -110,7 +117,7 @@ class Odometry:
 
         # The first pose is the world
         there = x
-        if not self.anchors:
+        if self._marked is None:
             x, G = recentred(x)
             P[:N, :N] = G @ P[:N, :N] @ G.T
 
@@ -159,6 +166,10 @@ class Odometry:
 
     def _insert(self, scan: Deskewed, stamp: float) -> None:
         """Put the points of a scan into the part of the map that is being made."""
+        if self.settings.anchors == 0:
+            self._forget_far()
+            self.map.insert(scan.in_w(self.x), noise_of_points(scan, self.settings)[1], 0)
+            return
         if not self.anchors or stamp - self.anchors[-1].stamp > self.settings.spacing - 0.01:
             self._begin_anchor(stamp)
         if not len(scan.points):
@@ -184,12 +195,16 @@ class Odometry:
         self._usage[self._count] = 1.0
         self._count += 1
         self._insertions = 0
+        self._forget_far()
+        self._drop_anchors()
+
+    def _forget_far(self) -> None:
+        """Keep the map within its radius and its number of voxels."""
         radius = self.settings.map_radius
         self.map.forget_far(self.x.pos_w, radius)
         while len(self.map) > self.settings.most_voxels:
             radius *= 0.8
             self.map.forget_far(self.x.pos_w, radius)
-        self._drop_anchors()
 
     def _drop_anchors(self) -> None:
         """Forget the anchors that no plane is tied to and those that are used least."""

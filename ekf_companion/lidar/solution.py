@@ -6,14 +6,14 @@ World: the body at the first pose, turned so that the last estimate of gravity p
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, exp, to_quaternion
+from ekf_companion.lidar.state import ATT, POS, VEL, exp, log, to_quaternion
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
@@ -22,6 +22,14 @@ NAMED = 1.0
 """Shortest time without hold that is named, s."""
 POOR = 0.01
 """Share of the way that its own sigma may be in a good result: what odometry is bought for."""
+BEGINNING = 20.0
+"""Part of a recording by which mounting and delay are found, s."""
+PASSES = 8
+"""Over it, at most."""
+BEYOND = 0.5
+"""Share of a pass's change that is added to it: two thirds of the error are left without it."""
+SETTLED_TURN, SETTLED_DELAY = np.radians(0.05), 3e-4
+"""Change of a pass below which it is the last, rad and s."""
 LEAST_SIGMA = 0.1
 """Own sigma below which a result is good however short the way, m."""
 
@@ -157,7 +165,8 @@ class Solution:
 
 def solve(recording: Recording, settings: Settings) -> Solution:
     """Return the trajectory of a recording."""
-    odometry = Odometry(recording.inertial, recording.mounting, settings)
+    recording, delay = calibrated(recording, settings)
+    odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
     estimates: list[Estimate] = []
     for scan in recording.scans:
         estimates += odometry.process(scan)
@@ -171,6 +180,42 @@ def solve(recording: Recording, settings: Settings) -> Solution:
         C_level=C_level,
         points=odometry.map.points() @ C_level.T,
     )
+
+
+def calibrated(recording: Recording, settings: Settings) -> tuple[Recording, float]:
+    """Return the recording with the mounting that its beginning shows, and the delay.
+
+    A map that was made by a wrong mounting agrees with it: what was found is the next guess, until
+    it stays. The sigmas stay too, as the same scans come again.
+    """
+    delay = 0.0
+    if not (settings.is_mounting_estimated or settings.delay_sigma > 0.0):
+        return recording, delay
+    for _ in range(PASSES):
+        odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
+        start = None
+        for scan in recording.scans:
+            start = scan.stamp if start is None else start
+            if scan.stamp - start > BEGINNING:
+                break
+            odometry.process(scan)
+        x, before = odometry.x, recording.mounting
+        if not odometry.map:
+            break
+        turned = float(np.linalg.norm(log(before.rotation.T @ x.C_bl)))
+        is_settled = turned < SETTLED_TURN and abs(x.delay - delay) < SETTLED_DELAY
+        # Each pass leaves a share of the error: go farther the same way
+        turn = log(before.rotation.T @ x.C_bl)
+        mounting = replace(
+            before,
+            rotation=x.C_bl @ exp(BEYOND * turn),
+            position=x.pos_b + BEYOND * (x.pos_b - before.position),
+        )
+        recording = replace(recording, mounting=mounting)
+        delay = x.delay + BEYOND * (x.delay - delay)
+        if is_settled:
+            break
+    return recording, delay
 
 
 def levelled(down: Array) -> Array:

@@ -53,13 +53,17 @@ TAIL = 2.0
 
 
 def find(
-    scans: Sequence[Scan], samples: Samples, mounting: Mounting, settings: Settings
+    scans: Sequence[Scan],
+    samples: Samples,
+    mounting: Mounting,
+    settings: Settings,
+    delay: float = 0.0,
 ) -> tuple[State, Array]:
     """Return the state at the beginning of the first scan, and its covariance, shape (24, 24).
 
     The world is the body there; the position and the attitude are zero by definition.
     """
-    x = State(C_bl=mounting.rotation, pos_b=mounting.position)
+    x = State(C_bl=mounting.rotation, pos_b=mounting.position, delay=delay)
     path = _path(scans, np.zeros(3), x, samples, settings)
     steps = np.diff(path.stamp)
     mean = steps @ path.accel_w / max(float(steps.sum()), 1e-9)
@@ -121,7 +125,7 @@ def _path(
     """Return the motion over some scans from rest, without gravity."""
     end = max(scan.stamp + float(scan.times.max(initial=0.0)) for scan in scans)
     still, falling = replace(x, gyro_bias=gyro_bias), replace(settings, gravity=0.0)
-    return propagate(still, samples, scans[0].stamp, end, falling)[3]
+    return propagate(still, samples, scans[0].stamp + x.delay, end + x.delay, falling)[3]
 
 
 def _fit(
@@ -143,7 +147,7 @@ def _fit(
         square = np.einsum("ni,ni->n", scan.points, scan.points)
         kept = (square > settings.least_range**2) & (square < settings.most_range**2)
         after = scan.stamp - start + scan.times[kept]
-        C, pos = path.at(start + after)
+        C, pos = path.at(start + x.delay + after)
         y = np.einsum("nij,nj->ni", C, scan.points[kept] @ x.C_bl.T + x.pos_b)
         q = y + pos + after[:, None] * (motion[:3] + 0.5 * after[:, None] * motion[3:6])
         placed.append((after, C, y, q))

@@ -1,0 +1,178 @@
+"""Lidar-inertial odometry on the sequences of shared/data/lidar: accuracy, honesty, cost.
+
+Scores are those of shared/tools/lidar_score.py; truth is used by it alone.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from benchmarks.document import table
+from ekf_companion.lidar.odometry import Odometry
+from ekf_companion.lidar.readers import read
+from ekf_companion.lidar.recording import Mounting, Recording
+from ekf_companion.lidar.settings import Settings
+from ekf_companion.lidar.solution import Solution, calibrated, levelled
+from ekf_companion.lidar.state import exp
+
+SHARED = Path(__file__).parents[2] / "shared"
+HEAD = (
+    "sequence | ATE start, 4 dof, 6 dof, m | RPE 10 m, % | NEES relative: position, rotation | "
+    "NEES global | own sigma, m | ms a scan, p95"
+)
+TURN = np.radians(2.8) * np.array([0.6, -0.64, 0.48])
+SHIFT = np.array([0.03, -0.02, 0.02])
+"""A mounting that is wrong by 2.8 deg and 4 cm."""
+LATE = 0.012
+CLIP = np.radians(120.0)
+"""Below the largest rates of these sequences, rad/s."""
+MOTION = 8.0
+"""Where a recording is cut to begin in motion, s."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A sequence, changed."""
+
+    name: str
+    sequence: str
+    change: Callable[[Recording], Recording]
+    settings: Callable[[Settings], Settings]
+
+
+def cropped(recording: Recording) -> Recording:
+    """Return a recording that begins in motion."""
+    kept = recording.inertial.stamp >= MOTION
+    inertial = replace(
+        recording.inertial,
+        stamp=recording.inertial.stamp[kept],
+        gyro=recording.inertial.gyro[kept],
+        accel=recording.inertial.accel[kept],
+    )
+    scans = [scan for scan in recording.scans if scan.stamp >= MOTION]
+    return replace(recording, scans=scans, inertial=inertial)
+
+
+def turned(recording: Recording) -> Recording:
+    """Return it with a wrong mounting."""
+    before = recording.mounting
+    return replace(
+        recording,
+        mounting=Mounting(
+            before.rotation @ exp(TURN), before.position + SHIFT, np.radians(3.0), 0.05
+        ),
+    )
+
+
+def late(recording: Recording) -> Recording:
+    """Return it with late inertial stamps."""
+    stamp = recording.inertial.stamp + LATE
+    return replace(recording, inertial=replace(recording.inertial, stamp=stamp))
+
+
+def clipped(recording: Recording) -> Recording:
+    """Return it with a gyro of a smaller range."""
+    gyro = np.clip(recording.inertial.gyro, -CLIP, CLIP)
+    return replace(recording, inertial=replace(recording.inertial, gyro=gyro))
+
+
+def same(value: Any) -> Any:
+    """Return what it is given."""
+    return value
+
+
+def cases() -> Iterator[Case]:
+    """Yield what is run."""
+    for name in ("room_walk", "street_drive", "forest_flight", "tunnel_run", "plain_flight"):
+        yield Case(name, name, same, same)
+        yield Case(f"{name}, map known", name, same, lambda s: replace(s, anchors=0))
+    for name in ("room_walk", "forest_flight"):
+        yield Case(f"{name}, in motion", name, cropped, same)
+        yield Case(
+            f"{name}, turned",
+            name,
+            lambda r: turned(cropped(r)),
+            lambda s: replace(s, is_mounting_estimated=True),
+        )
+        yield Case(
+            f"{name}, late",
+            name,
+            lambda r: late(cropped(r)),
+            lambda s: replace(s, delay_sigma=0.02),
+        )
+        yield Case(f"{name}, clipped", name, lambda r: clipped(cropped(r)), same)
+
+
+def run(case: Case) -> tuple[Solution, list[float]]:
+    """Return the solution of a case, and the time of each scan, ms."""
+    path = SHARED / "data" / "lidar" / case.sequence
+    calib = json.loads((path / "calib.json").read_text(encoding="utf-8"))
+    settings = case.settings(
+        Settings(least_range=calib["range_min_m"], most_range=calib["range_max_m"])
+    )
+    recording, delay = calibrated(case.change(read(path)), settings)
+    odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
+    estimates, spent = [], []
+    for scan in recording.scans:
+        begin = time.process_time()
+        made = odometry.process(scan)
+        spent.append(1e3 * (time.process_time() - begin) / max(len(made), 1))
+        estimates += made
+    solution = Solution(
+        name=case.name,
+        decisions=(),
+        estimates=estimates,
+        C_level=levelled(estimates[-1].state.down_w),
+        points=np.zeros((0, 3)),
+    )
+    return solution, spent
+
+
+def scorer() -> ModuleType:
+    """Return shared/tools/lidar_score.py."""
+    path = SHARED / "tools" / "lidar_score.py"
+    spec = importlib.util.spec_from_file_location("lidar_score", path)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{path}: cannot be read")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def row(case: Case, score: ModuleType) -> str:
+    """Return the row of a case."""
+    solution, spent = run(case)
+    path = str(SHARED / "data" / "lidar" / case.sequence)
+    found = score.score(path, solution.poses, solution.covariances())
+    apart = score.score_relative(path, solution.relatives())
+    ate = ", ".join(f"{found[f'ate_{kind}_m']:.3f}" for kind in ("start", "4dof", "6dof"))
+    rpe = found["rpe"].get("10", {}).get("percent", float("nan"))
+    nees = [
+        f"{one['nees_position']['mean']:.2g}, {one['nees_rotation']['mean']:.2g}"
+        for one in (apart, found)
+    ]
+    cost = f"{np.mean(spent):.0f}, {np.percentile(spent, 95):.0f}"
+    return " | ".join([case.name, ate, f"{rpe:.2f}", *nees, f"{solution.sigma:.2g}", cost])
+
+
+def main() -> None:
+    """Print the table; an argument selects the cases whose names contain it."""
+    if not (SHARED / "data" / "lidar").is_dir():
+        raise SystemExit(f"{SHARED}/data/lidar is not here")
+    score, wanted = scorer(), sys.argv[1] if len(sys.argv) > 1 else ""
+    for line in table(HEAD, (row(case, score) for case in cases() if wanted in case.name)):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
