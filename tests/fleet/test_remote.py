@@ -86,6 +86,7 @@ def fill(*names):
     return account.lines()
 
 
+@pytest.mark.campaign
 def test_logs_of_a_bucket_become_a_data_set_in_a_bucket(store, flight):
     store.put_object(Bucket="logs", Key="day/a.tlog", Body=flight)
     store.put_object(Bucket="logs", Key="day/=b.tlog", Body=flight[: len(flight) // 2])

@@ -220,6 +220,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_mended_is_refused_by_name(tmp_path, name):
     edit, words = REFUSED[name]

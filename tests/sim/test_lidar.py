@@ -13,6 +13,8 @@ from sim_autopilot.lidar.write import to_quaternion, write_sequence
 PERFECT = ImuErrors(
     gyro_noise=0, accel_noise=0, gyro_bias=0, accel_bias=0, gyro_walk=0, accel_walk=0
 )
+SLOW = {"forest", "street"}
+EACH_WORLD = [pytest.param(w, marks=[pytest.mark.campaign] * (w in SLOW)) for w in WORLDS]
 
 
 def placed(flown, k):
@@ -42,7 +44,7 @@ def distance(world, points, times, label):
     return best
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", EACH_WORLD)
 def test_points_placed_by_the_truth_lie_on_the_walls(world):
     flown = simulate(world, 5, duration=9.0)
     errors = []
@@ -54,7 +56,7 @@ def test_points_placed_by_the_truth_lie_on_the_walls(world):
     assert len(np.concatenate(errors)) > 1000
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", EACH_WORLD)
 def test_the_inertial_samples_integrate_back_to_the_truth(world):
     flown = simulate(world, 5, duration=14.0, errors=PERFECT)
     step = 1 / flown.errors.rate
