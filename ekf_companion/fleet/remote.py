@@ -108,6 +108,8 @@ def file_system(url: str) -> tuple[Any, str]:
     try:
         with sentences(shown(url)):
             fsspec.get_filesystem_class(url.partition("://")[0].lower())
+    except ImportError as error:
+        raise ConfigError(f"{shown(url)}: {error}") from None
     except UnreachableError:
         raise ConfigError(
             f"{shown(url)}: no store is known by this name; known are s3://, gs://, https://"
