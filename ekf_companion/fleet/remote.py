@@ -74,8 +74,9 @@ def sentences(name: str) -> Iterator[None]:
         ) from None
     except ImportError as error:
         package = _package(error)
+        how = remedy("fleet").replace("'ekf-companion[fleet]'", package)  # no extra has them all
         raise MissingPackageError(
-            f"{name}: needs {package}, which is not installed: {remedy('fleet')}"
+            f"{name}: needs {package}, which is not installed: {how}"
         ) from None
     except Exception as error:  # noqa: BLE001  every store has its own, and their texts hold keys
         raise UnreachableError(f"{name}: {_why(error)}") from None
@@ -108,8 +109,6 @@ def file_system(url: str) -> tuple[Any, str]:
     try:
         with sentences(shown(url)):
             fsspec.get_filesystem_class(url.partition("://")[0].lower())
-    except ImportError as error:
-        raise ConfigError(f"{shown(url)}: {error}") from None
     except UnreachableError:
         raise ConfigError(
             f"{shown(url)}: no store is known by this name; known are s3://, gs://, https://"
