@@ -200,7 +200,7 @@ class Refusing(http.server.SimpleHTTPRequestHandler):
     """Serves files, some only to those who sign."""
 
     def log_message(self, *_):
-        """Say nothing."""
+        """Write no log."""
 
     def do_GET(self):
         self.answer(super().do_GET)
