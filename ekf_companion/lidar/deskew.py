@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_companion.lidar import loops
 from ekf_companion.lidar.motion import Path
+from ekf_companion.lidar.pose import pack
 from ekf_companion.lidar.state import State
 from ekf_companion.nav.arrays import Array, Indices
 
@@ -24,7 +26,7 @@ class Deskewed:
     before: Array
     """Time from each point to the end, s, shape (n,)."""
     turn: Array
-    """Body at the point's time to body at the end, shape (n, 3, 3)."""
+    """Body at the point's time to body at the end, shape (n, 9)."""
     moved_w: Array
     """Position at the point's time less that at the end, m, shape (n, 3)."""
     prior: State
@@ -43,42 +45,30 @@ class Deskewed:
             self.rate_b,
         )
 
-    def levers(self, x: State) -> Array:
-        """Return the points from the body at the end, rotated only, m, in b, shape (n, 3)."""
-        b = self.points @ x.C_bl.T + x.pos_b
-        bias = x.gyro_bias - self.prior.gyro_bias
-        if bias.any():
-            b = b + self.before[:, None] * np.cross(bias, b)
-        return np.asarray(np.einsum("nij,nj->ni", self.turn, b))
+    def placed(self, x: State) -> tuple[Array, Array]:
+        """Return the points from the body at the end, rotated only, in b, and in w, m, (n, 3)."""
+        y, q = np.empty(self.points.shape), np.empty(self.points.shape)
+        loops.place(self.points, self.before, self.turn, self.moved_w, self.pose(x), y, q)
+        return y, q
 
-    def in_w(self, x: State) -> Array:
-        """Return the points in w at a state, m, shape (n, 3)."""
-        y = self.levers(x)
-        q = y @ x.C_wb.T + self.moved_w + x.pos_w
-        q -= self.before[:, None] * (x.vel_w - self.prior.vel_w)
-        if late := x.delay - self.prior.delay:
-            q += late * (x.vel_w + np.cross(self.rate_b, y) @ x.C_wb.T)
-        return np.asarray(q)
+    def pose(self, x: State) -> Array:
+        """Return a state as the loops over points take it."""
+        return pack(x, self.prior, self.rate_b)
 
     def derivatives(self, x: State, normal: Array, *, has_mounting: bool) -> Array:
-        """Return the derivative of normal' q by the error state's seen part, shape (n, 12 or 19).
+        """Return the derivative of normal' q by the error state's seen part, shape (n, 18 or 25).
 
-        Attitude, position, velocity, gyro bias; then, if asked, mounting and delay.
+        Attitude, position, velocity, gyro bias; then, if asked, mounting and delay; at the end
+        shift and rotation of the scan as a whole about the body, in w.
         """
-        y = self.levers(x)
-        n_b = normal @ x.C_wb
-        H = np.empty((len(normal), 19 if has_mounting else 12))
-        H[:, 0:3] = np.cross(y, n_b)
-        H[:, 3:6] = normal
-        H[:, 6:9] = -self.before[:, None] * normal
-        n_there = np.einsum("nji,nj->ni", self.turn, n_b)
-        b = self.points @ x.C_bl.T + x.pos_b
-        H[:, 9:12] = self.before[:, None] * np.cross(b, n_there)
-        if has_mounting:
-            H[:, 12:15] = np.cross(self.points, n_there @ x.C_bl)
-            H[:, 15:18] = n_there
-            H[:, 18] = normal @ x.vel_w + np.einsum("ni,ni->n", n_b, np.cross(self.rate_b, y))
-        return H
+        y, q = self.placed(x)
+        return self.rows(x, y, q, normal, has_mounting=has_mounting)
+
+    def rows(self, x: State, y: Array, q: Array, normal: Array, *, has_mounting: bool) -> Array:
+        """Return the same of points that were placed."""
+        made = np.empty((len(normal), 25 if has_mounting else 18))
+        loops.differentiate(self.points, self.before, self.turn, y, q, normal, self.pose(x), made)
+        return made
 
 
 def deskew(points: Array, stamp: Array, path: Path, end: State, prior: State) -> Deskewed:
@@ -86,13 +76,13 @@ def deskew(points: Array, stamp: Array, path: Path, end: State, prior: State) ->
 
     ``end`` is the state there in the path's frame; ``prior`` the same one in w.
     """
-    C, pos = path.at(stamp)
+    turn, pos = path.at(stamp, end.C_wb.T)
     to_w = prior.C_wb @ end.C_wb.T
     return Deskewed(
-        points,
+        np.ascontiguousarray(points, dtype=np.float64),
         path.stamp[-1] - stamp,
-        end.C_wb.T @ C,
-        (pos - end.pos_w) @ to_w.T,
+        turn,
+        np.ascontiguousarray((pos - end.pos_w) @ to_w.T),
         prior,
         path.rate_b[-1],
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_companion.lidar import loops
 from ekf_companion.lidar.recording import InertialSamples
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
@@ -117,12 +118,19 @@ class Path:
     lost: float
     """Time without samples, s."""
 
-    def at(self, stamp: Array) -> tuple[Array, Array]:
-        """Return attitude and position at times within the path, (n, 3, 3) and (n, 3)."""
+    def at(self, stamp: Array, back: Array | None = None) -> tuple[Array, Array]:
+        """Return attitude, multiplied from the left, and position at times within the path.
+
+        Shapes (n, 9) and (n, 3).
+        """
         k = np.clip(np.searchsorted(self.stamp, stamp, side="right") - 1, 0, len(self.rate_b) - 1)
-        dt = (stamp - self.stamp[k])[:, None]
-        C = self.C_wb[k] @ exp(self.rate_b[k] * dt)
-        return C, self.pos_w[k] + dt * (self.vel_w[k] + 0.5 * dt * self.accel_w[k])
+        turn, moved = np.empty((len(stamp), 9)), np.empty((len(stamp), 3))
+        m = len(self.rate_b)
+        attitude = self.C_wb[:m].reshape(-1, 9)
+        states = np.hstack([attitude, self.pos_w[:m], self.vel_w[:m], self.rate_b, self.accel_w])
+        left = np.eye(3) if back is None else np.ascontiguousarray(back)
+        loops.carry(np.ascontiguousarray(stamp), k, self.stamp[:m], states, left, turn, moved)
+        return turn, moved
 
 
 def propagate(

@@ -168,7 +168,8 @@ class Odometry:
         """Put the points of a scan into the part of the map that is being made."""
         if self.settings.anchors == 0:
             self._forget_far()
-            self.map.insert(scan.in_w(self.x), noise_of_points(scan, self.settings)[1], 0)
+            var = noise_of_points(scan.points, self.settings)
+            self.map.insert(scan.placed(self.x)[1], var, 0)
             return
         if not self.anchors or stamp - self.anchors[-1].stamp > self.settings.spacing - 0.01:
             self._begin_anchor(stamp)
@@ -182,8 +183,8 @@ class Odometry:
         at = slice(first(k), first(k + 1))
         self.P[at] += share * (T @ self.P[:POSE] - self.P[at])
         self.P[:, at] += share * (self.P[:, :POSE] @ T.T - self.P[:, at])
-        var = noise_of_points(scan, self.settings)[1]
-        self.map.insert(scan.in_w(self.x), var, self.anchors[k].number)
+        var = noise_of_points(scan.points, self.settings)
+        self.map.insert(scan.placed(self.x)[1], var, self.anchors[k].number)
 
     def _begin_anchor(self, stamp: float) -> None:
         """Begin another part of the map, whose error is not that of the ones before."""
@@ -208,7 +209,7 @@ class Odometry:
 
     def _drop_anchors(self) -> None:
         """Forget the anchors that no plane is tied to and those that are used least."""
-        owned = set(np.unique(self.map.owned()).tolist())
+        owned = self.map.owners()
         last = self.anchors[-2:]
         gone = [one for one in self.anchors if one.number not in owned and one not in last]
         most = max(self.settings.anchors, 2)

@@ -21,9 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekf_companion.lidar import loops
 from ekf_companion.lidar.deskew import Deskewed
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import State
+from ekf_companion.lidar.state import POSE, State
 from ekf_companion.lidar.voxel_map import LASERS, Planes, VoxelMap
 from ekf_companion.nav.arrays import Array, Indices, Mask
 
@@ -44,14 +45,21 @@ CHANCE = 3.0
 """Standard errors by which a hold must exceed the noise of the normals."""
 
 
+_NOTHING = np.zeros((3, 3))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
     """Normal equations of one scan at a state."""
 
     columns: int
     """Number of the state's columns; the six of the anchor follow."""
-    by_owner: dict[int, tuple[Array, Array]]
-    """For each anchor the matrix of the rows' squares and their sums with the innovation."""
+    owners: Indices
+    """Numbers of the anchors, shape (g,)."""
+    A: Array
+    """For each anchor the squares of the rows, shape (g, columns + 6, columns + 6)."""
+    b: Array
+    """For each anchor their products with the innovation, shape (g, columns + 6)."""
     common: Array
     """Variances of an error of the scan as a whole: shift, m^2, and rotation, rad^2, shape (6,)."""
     used: int
@@ -70,11 +78,10 @@ class Sums:
     """Share of each anchor in the weights."""
 
 
-def noise_of_points(scan: Deskewed, settings: Settings) -> tuple[Array, Array]:
-    """Return the range of each point, m, and its variance along any axis, m^2, at most."""
-    ranges = np.sqrt(np.einsum("ni,ni->n", scan.points, scan.points))
-    var = settings.range_noise**2 + (settings.angle_noise * ranges) ** 2
-    return ranges, var
+def noise_of_points(points: Array, settings: Settings) -> Array:
+    """Return the variance of each point along any axis, m^2, at most, shape (n,)."""
+    square = np.einsum("ni,ni->n", points, points)
+    return np.asarray(settings.range_noise**2 + settings.angle_noise**2 * square)
 
 
 def sum_rows(
@@ -92,157 +99,145 @@ def sum_rows(
     P is the covariance of attitude and position, shape (6, 6), by which points are gated;
     ``apart`` that of the position relative to each anchor, shape (3, 3).
     """
-    q = scan.in_w(x)
-    ranges, var = noise_of_points(scan, settings)
-    planes = voxels.match(q, var)
+    y, q = scan.placed(x)
+    planes = voxels.match(q)
     if not len(planes.index):
         return None
-    scan, q, ranges = scan.chosen(planes.index), q[planes.index], ranges[planes.index]
-    normal = planes.normal
-    gap = planes.centre - q
-    z = np.einsum("ni,ni->n", normal, gap)
-    H = scan.derivatives(x, normal, has_mounting=has_mounting)
-    R = _variances(scan, x, planes, gap, ranges, apart, settings)
-    prior = np.einsum("ni,ij,nj->n", H[:, :6], P, H[:, :6])
-    distance = z * z / (R + prior)
-    kept = distance < GATE**2
+    scan, y, q = scan.chosen(planes.index), y[planes.index], q[planes.index]
+    rows = scan.rows(x, y, q, planes.normal, has_mounting=has_mounting)
+    owners, group = np.unique(planes.owner, return_inverse=True)
+    shared = Shared.of(planes, group, len(owners))
+    shift = np.array([apart.get(owner, _NOTHING) for owner in owners.tolist()]).reshape(-1, 9)
+    s = settings
+    made = np.empty((len(q), 3))
+    loops.weigh(
+        scan.points,
+        scan.turn,
+        scan.pose(x),
+        q,
+        planes.normal,
+        planes.centre,
+        planes.along.reshape(-1, 6),
+        planes.spread,
+        shared.together,
+        group,
+        shift,
+        rows,
+        np.ascontiguousarray(P),
+        np.array([s.range_noise, s.angle_noise, s.range_bias, GATE, TAIL]),
+        made,
+    )
+    z, R, weight = made.T.copy()
+    kept = weight > 0.0
     if not kept.any():
         return None
-    weight = np.where(kept, 1.0 / (R * (1.0 + distance / TAIL**2)), 0.0)
 
-    owners, group = np.unique(planes.owner, return_inverse=True)
     # Of each part of the map by itself: an old one that shows nothing along a tunnel holds nothing
-    part = _hold(normal, planes, weight, group, len(owners), PART_PLANES)
-    bare = np.einsum("nij,nj->ni", part.leave[group], normal)
-    whole = _hold(normal, planes, weight, np.zeros_like(group), 1, LEAST_PLANES)
+    held = _hold(shared, weight)
+    bare = np.einsum("nij,nj->ni", held.leave[group], planes.normal)
     U = np.empty((3, 0))
-    if whole.is_lost[0].any():
-        U = _open_directions(whole.directions[0][:, whole.is_lost[0]], planes, weight, apart)
+    if held.is_lost[-1].any():
+        U = _open_directions(held.directions[:, held.is_lost[-1]], planes, weight, apart)
         bare = bare - (bare @ U) @ U.T
-    if part.is_lost.any() or (part.hold < 1.0).any():
-        normal = bare
-        H = scan.derivatives(x, normal, has_mounting=has_mounting)
-    a = np.empty((len(z), 6))
-    a[:, :3] = normal
-    a[:, 3:] = np.cross(q - x.pos_w, normal)
-    rows = np.hstack([H, a])
-    by_owner, usage = {}, {}
-    total = weight.sum()
-    for number, owner in enumerate(owners.tolist()):
-        mine = np.flatnonzero(group == number)
-        own, w = rows[mine], weight[mine]
-        weighted = own * w[:, None]
-        by_owner[owner] = (weighted.T @ own, weighted.T @ z[mine])
-        usage[owner] = float(w.sum() / total)
-    rms = float(np.sqrt(np.mean(z[kept] ** 2 / R[kept])))
+    if (held.hold < 1.0).any():
+        rows = scan.rows(x, y, q, np.ascontiguousarray(bare), has_mounting=has_mounting)
+    width = rows.shape[1]
+    A, b = np.zeros((len(owners) * width, width)), np.zeros((len(owners), width))
+    loops.sum_rows(rows, z, weight, group, A, b)
+    usage = np.bincount(group, weight) / weight.sum()
     # The biases of the few lasers that see a surface do not average out
-    shift = settings.range_bias**2 / LASERS
-    common = np.repeat([shift, settings.angle_noise**2], 3)
+    bias = settings.range_bias**2 / LASERS
     return Sums(
-        H.shape[1],
-        by_owner,
-        common,
+        width - POSE,
+        owners,
+        A.reshape(-1, width, width),
+        b,
+        np.repeat([bias, settings.angle_noise**2], 3),
         int(kept.sum()),
         U,
-        whole.hold[0],
-        whole.directions[0],
-        whole.sigma[0],
-        rms,
-        usage,
+        held.hold[-1],
+        held.directions,
+        held.sigma,
+        float(np.sqrt(np.mean(z[kept] ** 2 / R[kept]))),
+        dict(zip(owners.tolist(), usage.tolist(), strict=True)),
     )
 
 
-def _variances(
-    scan: Deskewed,
-    x: State,
-    planes: Planes,
-    gap: Array,
-    ranges: Array,
-    apart: dict[int, Array],
-    settings: Settings,
-) -> Array:
-    """Return the variance of each row, m^2."""
-    beam = np.einsum("nij,nj->ni", scan.turn, scan.points @ x.C_bl.T) @ x.C_wb.T
-    cosine = np.abs(np.einsum("ni,ni->n", beam, planes.normal)) / np.maximum(ranges, 1e-3)
-    cosine2 = np.minimum(cosine * cosine, 1.0)
-    point = settings.range_noise**2 * cosine2
-    point += (settings.angle_noise * ranges) ** 2 * (1.0 - cosine2)
-    slope = np.einsum("nki,ni->nk", planes.along, gap)
-    shared = planes.offset + (slope * slope).sum(axis=1) + settings.range_bias**2 * cosine2
-    # What an unknown shift along a plane becomes by its slope (a term of second order)
-    for owner, shift in apart.items():
-        mine = np.flatnonzero(planes.owner == owner)
-        along = planes.along[mine]
-        shared[mine] += np.einsum("nki,ij,nkj->n", along, shift, along)
-    # Together the rows on a plane know no more than the plane
-    _, back, count = np.unique(planes.voxel, return_inverse=True, return_counts=True)
-    return np.asarray(np.maximum(point, planes.scatter) + count[back] * shared)
+@dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """The planes of rows, and which rows are on the same."""
+
+    planes: Planes
+    group: Indices
+    """Of each row, shape (n,)."""
+    count: int
+    """Of the groups."""
+    one: Indices
+    """A row on each of p planes, shape (p,)."""
+    back: Indices
+    """Which of these planes each row is on, shape (n,)."""
+    together: Indices
+    """Rows on the same plane as each, shape (n,)."""
+
+    @classmethod
+    def of(cls, planes: Planes, group: Indices, count: int) -> Shared:
+        """Find out which rows are on the same plane."""
+        _, one, back, size = np.unique(
+            planes.voxel, return_index=True, return_inverse=True, return_counts=True
+        )
+        return cls(planes, group, count, one, back, size[back])
 
 
 class _Hold(NamedTuple):
-    """What the normals of each of g groups of rows hold beyond their own noise."""
+    """What the normals of each of g groups of rows, and of all, hold beyond their own noise."""
 
     leave: Array
-    """What leaves of a normal only that, shape (g, 3, 3)."""
+    """What leaves of a normal only that, shape (g + 1, 3, 3)."""
     hold: Array
-    """Share of the information that is held along each direction, shape (g, 3)."""
+    """Share of the information that is held along each direction, shape (g + 1, 3)."""
     is_lost: Mask
-    """No share, or by too few planes, shape (g, 3)."""
+    """No share, or by too few planes, shape (g + 1, 3)."""
     directions: Array
-    """In columns, unit vectors, shape (g, 3, 3)."""
+    """Of all, in columns, unit vectors, shape (3, 3)."""
     sigma: Array
-    """Of the position along each by these rows alone, m, shape (g, 3)."""
+    """Of the position along each by these rows alone, m, shape (3,)."""
 
 
-def _hold(
-    normal: Array, planes: Planes, weight: Array, group: Indices, g: int, least: float
-) -> _Hold:
-    """Find in which directions the normals of each group hold the position."""
-    A = _sum_outer(normal, normal, weight, group, g)
-    along = planes.along
-    B = _sum_outer(along[:, 0], along[:, 0], weight, group, g)
-    B += _sum_outer(along[:, 1], along[:, 1], weight, group, g)
+def _hold(shared: Shared, weight: Array) -> _Hold:
+    """Find in which directions the normals of each group, and at last those of all, hold."""
+    g, planes = shared.count, shared.planes
+    squares, noise = np.zeros((g + 1, 9)), np.zeros((g + 1, 9))
+    along = planes.along.reshape(-1, 6)
+    loops.sum_normals(planes.normal, along, weight, shared.group, squares, noise)
+    squares[g], noise[g] = squares.sum(axis=0), noise.sum(axis=0)
+    A, B = squares.reshape(-1, 3, 3), noise.reshape(-1, 3, 3)
     trace = np.trace(A, axis1=1, axis2=2)[:, None, None]
     A = A + (1e-9 * trace + 1e-30) * np.eye(3)
     values, axes = np.linalg.eigh(A)
     root = (axes * np.sqrt(values)[:, None]) @ axes.transpose(0, 2, 1)
     inverse = (axes / np.sqrt(values)[:, None]) @ axes.transpose(0, 2, 1)
     share, V = np.linalg.eigh(np.eye(3) - inverse @ B @ inverse)
-    white = inverse @ V
+    white = np.ascontiguousarray(inverse @ V)
     # Each plane adds the square of its normal's noise, which is one draw for all its rows
-    _, one, back = np.unique(planes.voxel, return_index=True, return_inverse=True)
-    each = np.bincount(back, weight)[:, None]
-    there = group[one]
-    seen = np.einsum("pki,pij->pkj", along[one], white[there])
-    squares = each * (seen * seen).sum(axis=1)
-    held = each * np.einsum("pi,pij->pj", normal[one], white[there]) ** 2
-    chance = np.empty((g, 3))
-    count = np.empty((g, 3))
-    for j in range(3):
-        chance[:, j] = np.sqrt(2.0 * np.bincount(there, squares[:, j] ** 2, g))
-        total = np.bincount(there, held[:, j], g)
-        count[:, j] = total**2 / np.maximum(np.bincount(there, held[:, j] ** 2, g), 1e-30)
+    one, sums = shared.one, np.zeros((g + 1, 9))
+    each = np.asarray(np.bincount(shared.back, weight), dtype=np.float64)
+    part = shared.group[one]
+    for group in (part, np.full_like(part, g)):
+        loops.sum_planes(planes.normal[one], along[one], each, group, white.reshape(-1, 9), sums)
+    chance = np.sqrt(2.0 * sums[:, 6:])
+    count = sums[:, :3] ** 2 / np.maximum(sums[:, 3:6], 1e-30)
     hold = np.clip(share - CHANCE * chance, 0.0, 1.0)
     hold[hold > 0.98] = 1.0
-    hold[count < least] = 0.0
-    size = np.linalg.norm(white, axis=1)
+    hold[:g][count[:g] < PART_PLANES] = 0.0
+    hold[g][count[g] < LEAST_PLANES] = 0.0
+    size = np.linalg.norm(white[g], axis=0)
     return _Hold(
         root @ (V * hold[:, None]) @ V.transpose(0, 2, 1) @ inverse,
         hold,
         hold == 0.0,
-        white / size[:, None],
-        size / np.maximum(hold, 1e-6),
+        white[g] / size,
+        size / np.maximum(hold[g], 1e-6),
     )
-
-
-def _sum_outer(a: Array, b: Array, weight: Array, group: Indices, g: int) -> Array:
-    """Return the sums of weight a b' over the rows of each group, shape (g, 3, 3)."""
-    made = np.empty((g, 3, 3))
-    for i in range(3):
-        scaled = weight * a[:, i]
-        for j in range(i, 3):
-            made[:, i, j] = made[:, j, i] = np.bincount(group, scaled * b[:, j], g)
-    return made
 
 
 def _open_directions(found: Array, planes: Planes, weight: Array, apart: dict[int, Array]) -> Array:

@@ -147,7 +147,8 @@ def _fit(
         square = np.einsum("ni,ni->n", scan.points, scan.points)
         kept = (square > settings.least_range**2) & (square < settings.most_range**2)
         after = scan.stamp - start + scan.times[kept]
-        C, pos = path.at(start + x.delay + after)
+        turn, pos = path.at(start + x.delay + after)
+        C = turn.reshape(-1, 3, 3)
         y = np.einsum("nij,nj->ni", C, scan.points[kept] @ x.C_bl.T + x.pos_b)
         q = y + pos + after[:, None] * (motion[:3] + 0.5 * after[:, None] * motion[3:6])
         placed.append((after, C, y, q))
@@ -160,7 +161,7 @@ def _fit(
     prior = _variances(settings)
     A, b, score = np.diag(1.0 / prior), (expected - motion) / prior, 0.0
     for after, C, y, q in placed[1:]:
-        planes = voxels.match(q, np.full(len(q), var))
+        planes = voxels.match(q)
         k = planes.index
         if not len(k):
             continue
@@ -171,13 +172,14 @@ def _fit(
         turn = np.einsum("nij,ni->nj", C[k], np.cross(y[k], normal))
         H = np.hstack([dt * normal, square * normal, -dt * turn])
         slope = np.einsum("nki,ni->nk", planes.along, q[k] - planes.centre)
-        R = var + planes.offset + (slope * slope).sum(axis=1)
+        offset = planes.spread[:, 0]
+        R = var + offset + (slope * slope).sum(axis=1)
         spread = (1.5 * float(np.median(np.abs(z)))) ** 2
         w = 1.0 / (R * (1.0 + z * z / (TAIL**2 * (R + spread))))
         score += float((1.0 / (1.0 + z * z / (TAIL**2 * R))).sum())
         # Points on the same plane share its error
         _, back, each = np.unique(planes.voxel, return_inverse=True, return_counts=True)
-        w /= 1.0 + (each * len(placed))[back] * planes.offset / R
+        w /= 1.0 + (each * len(placed))[back] * offset / R
         A += (H * w[:, None]).T @ H
         b += (H * w[:, None]).T @ z
     P = np.linalg.inv(A)

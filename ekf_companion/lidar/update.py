@@ -77,17 +77,17 @@ def correct(
 ) -> Update:
     """Find the state of least cost from a prior and the covariance of its error state."""
     x, sums = prior, None
-    apart = {one.number: _apart(prior, P, one, k) for k, one in enumerate(anchors)}
+    apart = _apart(prior, P, anchors)
     L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
     for iteration in range(1, iterations + 1):
         sums = rows(x, P[:POSE, :POSE], apart)
         if sums is None:
             return Update(prior, P, None, iteration)
         e = x.minus(prior)
-        G = reset_matrix(x, prior, len(P))
-        P_here = P if G is None else G @ P @ G.T
+        G = reset_matrix(x, prior)
+        P_here = P if G is None else _reset(P, G)
         if G is not None:
-            e = G[:N, :N] @ e
+            e = G @ e
         seen, A, b = assemble(sums, anchors, x)
         full = np.zeros(len(P))
         full[:N] = e
@@ -112,54 +112,55 @@ def correct(
             else:
                 P_after = P_here - less
             P_after[N:, N:] = P[N:, N:]
-            G = reset_matrix(after, x, len(P))
+            G = reset_matrix(after, x)
             if G is not None:
-                P_after = G @ P_after @ G.T
+                P_after = _reset(P_after, G)
             return Update(after, 0.5 * (P_after + P_after.T), sums, iteration)
         x = after
     raise AssertionError("no iterations")
 
 
-def _apart(x: State, P: Array, anchor: Anchor, k: int) -> Array:
-    """Return the covariance of the position relative to an anchor, m^2, shape (3, 3)."""
-    J = np.zeros((3, 2 * POSE))
-    J[:, 3:6] = np.eye(3)
-    J[:, POSE:] = -moved_to(x.pos_w - anchor.about_w)[:3]
-    at = np.concatenate([np.arange(POSE), np.arange(first(k), first(k + 1))])
-    return np.asarray(J @ P[np.ix_(at, at)] @ J.T)
+def _apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
+    """Return the covariance of the position relative to each anchor, m^2, shape (3, 3)."""
+    count = len(anchors)
+    if not count:
+        return {}
+    T = -moved_to(x.pos_w - np.array([one.about_w for one in anchors]))[:, :3]
+    across = P[POS, first(0) :].reshape(3, count, POSE).transpose(1, 0, 2)
+    blocks = P[first(0) :, first(0) :].reshape(count, POSE, count, POSE)
+    own = blocks[np.arange(count), :, np.arange(count)]
+    mixed = across @ T.transpose(0, 2, 1)
+    made = P[POS, POS] + mixed + mixed.transpose(0, 2, 1) + T @ own @ T.transpose(0, 2, 1)
+    return {one.number: made[k] for k, one in enumerate(anchors)}
 
 
 def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, Array, Array]:
     """Return the error states that the rows depend on, and the normal equations in them."""
     m = sums.columns
-    own = SEEN if m == len(SEEN) else SEEN_WITH_MOUNTING
     place = {anchor.number: k for k, anchor in enumerate(anchors)}
-    tied = [owner for owner in sums.by_owner if owner in place]
+    tied = [g for g, owner in enumerate(sums.owners.tolist()) if owner in place]
+    which = [place[owner] for owner in sums.owners[tied].tolist()]
     size = m + POSE * len(tied)
-    A, b = np.zeros((size, size)), np.zeros(size)
     seen = np.empty(size, dtype=np.int64)
-    seen[:m] = own
+    seen[:m] = SEEN if m == len(SEEN) else SEEN_WITH_MOUNTING
+    A, b = np.zeros((size, size)), np.zeros(size)
+    A[:m, :m], b[:m] = sums.A[:, :m, :m].sum(axis=0), sums.b[:, :m].sum(axis=0)
     # What all rows of a scan share: K' of the sums that move it as a whole
-    K, D, d = np.zeros((size, POSE)), np.zeros((POSE, POSE)), np.zeros(POSE)
-    at = m
-    for owner, (C, c) in sums.by_owner.items():
-        A[:m, :m] += C[:m, :m]
-        b[:m] += c[:m]
-        K[:m] += C[:m, m:]
-        D += C[m:, m:]
-        d += c[m:]
-        if owner not in place:
-            continue
-        k = place[owner]
-        T = -moved_to(x.pos_w - anchors[k].about_w)
-        here = slice(at, at + POSE)
-        A[:m, here] = C[:m, m:] @ T
-        A[here, :m] = A[:m, here].T
-        A[here, here] = T.T @ C[m:, m:] @ T
-        b[here] = T.T @ c[m:]
-        K[here] = T.T @ C[m:, m:]
-        seen[here] = np.arange(first(k), first(k + 1))
-        at += POSE
+    K = np.zeros((size, POSE))
+    K[:m] = sums.A[:, :m, m:].sum(axis=0)
+    D, d = sums.A[:, m:, m:].sum(axis=0), sums.b[:, m:].sum(axis=0)
+    if tied:
+        T = -moved_to(x.pos_w - np.array([anchors[k].about_w for k in which]))
+        across = sums.A[tied, :m, m:] @ T
+        by_shift = T.transpose(0, 2, 1) @ sums.A[tied, m:, m:]
+        own = by_shift @ T
+        A[:m, m:] = across.transpose(1, 0, 2).reshape(m, -1)
+        A[m:, :m] = A[:m, m:].T
+        b[m:] = np.einsum("gij,gi->gj", T, sums.b[tied, m:]).ravel()
+        K[m:] = by_shift.reshape(-1, POSE)
+        at = np.arange(len(which))
+        A[m:, m:].reshape(len(which), POSE, len(which), POSE)[at, :, at] = own
+        seen[m:] = (first(0) + POSE * np.array(which)[:, None] + np.arange(POSE)).ravel()
     # That error is unknown and taken out (Woodbury)
     L = np.linalg.solve(np.diag(1.0 / sums.common) + D, np.column_stack([K.T, d]))
     return seen, np.asarray(A - K @ L[:, :-1]), np.asarray(b - K @ L[:, -1])
@@ -184,9 +185,15 @@ def first(k: int) -> int:
 
 
 def moved_to(lever_w: Array) -> Array:
-    """Return the derivative of shift and rotation at the end of a lever by those at its start."""
-    T = np.eye(POSE)
-    T[:3, 3:] = -skew(lever_w)
+    """Return the derivative of shift and rotation at the end of levers by those at their start.
+
+    Levers have the shape (g, 3); returned are (g, 6, 6).
+    """
+    T = np.zeros((len(lever_w), POSE, POSE))
+    T[:] = np.eye(POSE)
+    x, y, z = lever_w.T
+    T[:, 0, 4], T[:, 0, 5], T[:, 1, 5] = z, -y, x
+    T[:, 1, 3], T[:, 2, 3], T[:, 2, 4] = -z, y, -x
     return T
 
 
@@ -199,12 +206,23 @@ def shift_by_pose(x: State, about_w: Array) -> Array:
     return T
 
 
-def reset_matrix(x: State, prior: State, size: int) -> Array | None:
-    """Return the derivative of the error state about x by that about the prior; None: identity."""
+def _reset(P: Array, G: Array) -> Array:
+    """Return the covariance of an error state whose first part is about another state."""
+    made = P.copy()
+    made[:N] = G @ made[:N]
+    made[:, :N] = made[:, :N] @ G.T
+    return np.asarray(made)
+
+
+def reset_matrix(x: State, prior: State) -> Array | None:
+    """Return the derivative of the error state about x by that about the prior, (24, 24).
+
+    None: identity.
+    """
     turn = x.C_wb - prior.C_wb
     if not turn.any() and not (x.down_w - prior.down_w).any():
         return None
-    G = np.eye(size)
+    G = np.eye(N)
     J = so3.right_jacobian_inverse(log(prior.C_wb.T @ x.C_wb))
     G[ATT, ATT] = np.linalg.inv(J)
     J = so3.right_jacobian_inverse(log(prior.C_bl.T @ x.C_bl))

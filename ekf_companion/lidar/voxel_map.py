@@ -1,9 +1,11 @@
-"""A local map of planes in voxels, each with its covariance and the pose that it is tied to.
+"""A local map of planes in voxels, each with its covariance and the anchor that it is tied to.
 
 The space is divided into voxels of several sizes, whose grids are shifted against each other so
 that a wall on the face of one is inside another. A voxel keeps the sums of its points; where they
 lie on a plane, it has the plane with the covariance that their noise leaves to it. Voxels belong to
-the anchor (a pose of the past) that was current when the first of their points was put in.
+the anchor (a part of the map that was put in over one second) that most of their points are of.
+
+Compiled, as it looks at every point; the same file runs as plain Python.
 
 Source: Yuan et al. 2022, "Efficient and probabilistic adaptive voxel mapping for accurate online
 lidar odometry", arXiv 2109.07082 (planes in voxels, with their uncertainty).
@@ -12,27 +14,62 @@ lidar odometry", arXiv 2109.07082 (planes in voxels, with their uncertainty).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import cython
 import numpy as np
+from cython.cimports.libc.math import floor, sqrt
 
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.nav.arrays import Array, Indices, Mask
+from ekf_companion.nav.arrays import Array, Column, Const, Indices, Table
 
-LEAST_POINTS = 6
+_LEAST_POINTS = 6.0
 """Three make a plane; as many again say how thick it is."""
-MOST_POINTS = 100
+_MOST_POINTS = 100.0
 """Of a voxel: its plane is then known to a tenth of the noise of a point."""
-LARGEST_SLOPE = 0.15
+_LARGEST_SLOPE = 0.15
 """Largest sigma of a plane's slope, rad: beyond it sine and angle differ by more than noise."""
 THICKEST = 3.0
 """Largest thickness of a plane, of the noise of a range."""
-LASERS = 2
+LASERS = 2.0
 """Of a spinning lidar that reach one voxel, at least: with one alone there is no plane."""
-PATCHES = 4
+_LASERS = LASERS
+_PATCHES = 4.0
 """Of a rough or curved surface in one voxel that are independent of each other: its quarters."""
 _SHIFT = 0.377
 """Of the grid of each size relative to the one before, of its voxels."""
-_BITS, _HALF = 21, 1 << 20
+_LEAST_VARIANCE = 1e-8
+"""Of points along any axis, m^2: what rounding leaves."""
+_ALONG_FACE = 0.9
+"""Cosine from which on a normal is that of a face."""
+_SWEEPS = 12
+"""Of Jacobi's rotations at most; four to six are enough."""
+_CONVERGED = 1e-22
+"""Squares off the diagonal, of those on it, below which the rotations end."""
+_NONE = 1e30
+"""Cost of a voxel without a plane."""
+
+_BITS = 20
+_LEVEL_BITS = 3
+_HALF = 1 << 19
+_MASK = (1 << 20) - 1
+_LEVELS = (1 << 3) - 1
+"""A key has 20 bits for the cell along each axis and three for the size."""
+
+# Columns of the table of voxels
+_MIDDLE = 0
+_COUNT = 3
+_NOISE = 4
+_LEAD = 5
+"""Points of the owner less those of others: the owner has the majority."""
+_SUMS = 6
+"""Of x, y, z, xx, yy, zz, xy, xz, yz about the middle."""
+_NORMAL = 15
+_CENTRE = 18
+_ALONG = 21
+_OFFSET = 27
+_SCATTER = 28
+_WIDTH = 29
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,10 +84,8 @@ class Planes:
     """m, shape (k, 3)."""
     along: Array
     """Two axes in the plane, times the sigma of its slope along each, shape (k, 2, 3)."""
-    offset: Array
-    """Variance of the plane's offset at its centre, m^2, shape (k,)."""
-    scatter: Array
-    """Mean square distance of the points from it, m^2, shape (k,)."""
+    spread: Array
+    """Variance of its offset at its centre, and of the points about it, m^2, shape (k, 2)."""
     owner: Indices
     """Anchor that the plane is tied to, shape (k,)."""
     voxel: Indices
@@ -60,232 +95,338 @@ class Planes:
 class VoxelMap:
     """Planes of the surroundings, in w."""
 
+    _rows: Table[np.float64]
+    """One row for each voxel, ``used`` of them."""
+    _keys: Column[np.int64]
+    _owners: Column[np.int64]
+    _costs: Column[np.float64]
+    """Variance of a point's distance from the plane, without its own noise."""
+    _marks: Column[np.int64]
+    """The last insertion that changed a voxel."""
+    _changed: Column[np.int64]
+    _slots: Table[np.int64]
+    """Key and row of each voxel, where its hash or the next free place after it is; -1: free."""
+    _axes: Table[np.float64]
+
     def __init__(self, settings: Settings) -> None:
-        self._levels = [
-            _Level(settings.voxel * 2**k, _SHIFT * k, settings) for k in range(settings.levels)
-        ]
-        self._least_var = settings.range_noise**2
+        """Begin without voxels."""
+        self._size: float = settings.voxel
+        self._levels: int = settings.levels
+        self._thickest: float = (THICKEST * settings.range_noise) ** 2
+        self._bias_var: float = settings.range_bias**2
+        self._face: float = 3.0 * settings.range_noise
+        self.used: int = 0
+        self._insertion: int = 0
+        self._rows = np.zeros((1024, _WIDTH))
+        self._keys = np.zeros(1024, dtype=np.int64)
+        self._owners = np.zeros(1024, dtype=np.int64)
+        self._costs = np.zeros(1024)
+        self._marks = np.zeros(1024, dtype=np.int64)
+        self._changed = np.zeros(1024, dtype=np.int64)
+        self._slots = np.full((2048, 2), -1, dtype=np.int64)
+        self._axes = np.zeros((6, 3))
 
     def __len__(self) -> int:
         """Return the number of voxels of all sizes."""
-        return sum(level.used for level in self._levels)
+        return self.used
 
     def insert(self, points_w: Array, variance: Array, owner: int) -> None:
         """Put in points, shape (n, 3), with the variance of each along any axis, shape (n,)."""
-        for level in self._levels:
-            level.insert(points_w, variance, owner)
+        self._make_room(self.used + len(points_w) * self._levels)
+        self.insert_each(np.ascontiguousarray(points_w), np.ascontiguousarray(variance), owner)
 
-    def match(self, points_w: Array, variance: Array) -> Planes:
+    def insert_each(
+        self, points: Const[Table[np.float64]], variance: Const[Column[np.float64]], owner: int
+    ) -> None:
+        """Do the work of :meth:`insert`, where there is room."""
+        self._insertion += 1
+        changed: int = 0
+        size: float = self._size
+        for level in range(self._levels):
+            for i in range(points.shape[0]):
+                row = self._row(level, size, points[i, 0], points[i, 1], points[i, 2], owner)
+                count = self._rows[row, _COUNT]
+                if self._marks[row] != self._insertion:
+                    # Full or not at its beginning: the points of one scan all count
+                    if count >= _MOST_POINTS:
+                        continue
+                    self._marks[row] = self._insertion
+                    self._changed[changed] = row
+                    changed += 1
+                self._add(row, points[i, 0], points[i, 1], points[i, 2], variance[i], owner)
+            size *= 2.0
+        for k in range(changed):
+            self._fit(self._changed[k])
+
+    def _row(self, level: int, size: float, x: float, y: float, z: float, owner: int) -> int:
+        """Return the row of the voxel around a point, which is made if there is none."""
+        shift = _SHIFT * level
+        i = cython.cast(cython.longlong, floor(x / size + shift))
+        j = cython.cast(cython.longlong, floor(y / size + shift))
+        k = cython.cast(cython.longlong, floor(z / size + shift))
+        key = _key(i, j, k, level)
+        at = self._slot(key)
+        if self._slots[at, 1] >= 0:
+            return self._slots[at, 1]
+        row = self.used
+        self.used += 1
+        self._slots[at, 0], self._slots[at, 1] = key, row
+        self._keys[row] = key
+        self._costs[row] = _NONE
+        self._marks[row] = 0
+        for column in range(_WIDTH):
+            self._rows[row, column] = 0.0
+        self._rows[row, _MIDDLE] = (i + 0.5 - shift) * size
+        self._rows[row, _MIDDLE + 1] = (j + 0.5 - shift) * size
+        self._rows[row, _MIDDLE + 2] = (k + 0.5 - shift) * size
+        self._owners[row] = owner
+        return row
+
+    def _slot(self, key: int) -> int:
+        """Return where a key is, or the free place where it would be."""
+        last = self._slots.shape[0] - 1
+        at: int = _hash(key) & last
+        while self._slots[at, 1] >= 0 and self._slots[at, 0] != key:
+            at = (at + 1) & last
+        return at
+
+    def _add(self, row: int, x: float, y: float, z: float, variance: float, owner: int) -> None:
+        """Add a point to the sums of a voxel."""
+        x -= self._rows[row, _MIDDLE]
+        y -= self._rows[row, _MIDDLE + 1]
+        z -= self._rows[row, _MIDDLE + 2]
+        self._rows[row, _SUMS] += x
+        self._rows[row, _SUMS + 1] += y
+        self._rows[row, _SUMS + 2] += z
+        self._rows[row, _SUMS + 3] += x * x
+        self._rows[row, _SUMS + 4] += y * y
+        self._rows[row, _SUMS + 5] += z * z
+        self._rows[row, _SUMS + 6] += x * y
+        self._rows[row, _SUMS + 7] += x * z
+        self._rows[row, _SUMS + 8] += y * z
+        self._rows[row, _COUNT] += 1.0
+        self._rows[row, _NOISE] += variance
+        # Boyer and Moore's vote: whose points are the most
+        if self._owners[row] == owner:
+            self._rows[row, _LEAD] += 1.0
+        elif self._rows[row, _LEAD] > 0.0:
+            self._rows[row, _LEAD] -= 1.0
+        else:
+            self._owners[row] = owner
+            self._rows[row, _LEAD] = 1.0
+
+    def _fit(self, row: int) -> None:
+        """Fit the plane of a voxel."""
+        n = self._rows[row, _COUNT]
+        if n < _LEAST_POINTS:
+            return
+        mx = self._rows[row, _SUMS] / n
+        my = self._rows[row, _SUMS + 1] / n
+        mz = self._rows[row, _SUMS + 2] / n
+        A = self._axes
+        A[0, 0] = self._rows[row, _SUMS + 3] / n - mx * mx
+        A[1, 1] = self._rows[row, _SUMS + 4] / n - my * my
+        A[2, 2] = self._rows[row, _SUMS + 5] / n - mz * mz
+        A[0, 1] = A[1, 0] = self._rows[row, _SUMS + 6] / n - mx * my
+        A[0, 2] = A[2, 0] = self._rows[row, _SUMS + 7] / n - mx * mz
+        A[1, 2] = A[2, 1] = self._rows[row, _SUMS + 8] / n - my * mz
+        self._diagonalise()
+        least = 0
+        if A[1, 1] < A[least, least]:
+            least = 1
+        if A[2, 2] < A[least, least]:
+            least = 2
+        one = 0 if least else 1
+        other = 1 if least == 2 else 2
+        thick: float = max(A[least, least], _LEAST_VARIANCE) * n / (n - 3.0)
+        expected = self._rows[row, _NOISE] / n
+        # Few lasers reach one voxel: their biases do not average out as noise does
+        # nor does what a surface is rough or curved by
+        rough: float = max(thick - expected, 0.0)
+        remaining: float = max(thick, expected) / n + self._bias_var / _LASERS + rough / _PATCHES
+        first: float = remaining / max(A[one, one], _LEAST_VARIANCE)
+        second: float = remaining / max(A[other, other], _LEAST_VARIANCE)
+        is_plane = thick < self._thickest and max(first, second) < _LARGEST_SLOPE**2
+        edge = self._size * (1 << (self._keys[row] & _LEVELS))
+        for k in range(3):
+            mean = self._rows[row, _SUMS + k] / n
+            # A plane along a face has lost the points on its other side
+            if abs(0.5 * edge - abs(mean)) < self._face and abs(A[3 + k, least]) > _ALONG_FACE:
+                is_plane = False
+            self._rows[row, _CENTRE + k] = self._rows[row, _MIDDLE + k] + mean
+            self._rows[row, _NORMAL + k] = A[3 + k, least]
+            self._rows[row, _ALONG + k] = sqrt(first) * A[3 + k, one]
+            self._rows[row, _ALONG + 3 + k] = sqrt(second) * A[3 + k, other]
+        self._rows[row, _OFFSET] = remaining
+        self._rows[row, _SCATTER] = thick
+        # At a point as far from the centre as they are on the average
+        self._costs[row] = thick + 3.0 * remaining if is_plane else _NONE
+
+    def _diagonalise(self) -> None:
+        """Rotate the first three rows of the axes to a diagonal; their columns go into the rest.
+
+        Source: Golub and Van Loan 2013, "Matrix Computations", section 8.5 (Jacobi's method).
+        """
+        A = self._axes
+        for i in range(3):
+            for j in range(3):
+                A[3 + i, j] = 1.0 if i == j else 0.0
+        for _ in range(_SWEEPS):
+            off = A[0, 1] * A[0, 1] + A[0, 2] * A[0, 2] + A[1, 2] * A[1, 2]
+            on = A[0, 0] * A[0, 0] + A[1, 1] * A[1, 1] + A[2, 2] * A[2, 2]
+            if off <= _CONVERGED * on:
+                break
+            for p in range(2):
+                for q in range(p + 1, 3):
+                    if A[p, q] == 0.0:
+                        continue
+                    tau = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                    root = sqrt(1.0 + tau * tau)
+                    t = 1.0 / (tau + root) if tau >= 0.0 else 1.0 / (tau - root)
+                    c = 1.0 / sqrt(1.0 + t * t)
+                    s = t * c
+                    for k in range(6):
+                        u = A[k, p]
+                        v = A[k, q]
+                        A[k, p] = c * u - s * v
+                        A[k, q] = s * u + c * v
+                    for k in range(3):
+                        u = A[p, k]
+                        v = A[q, k]
+                        A[p, k] = c * u - s * v
+                        A[q, k] = s * u + c * v
+
+    def match(self, points_w: Array) -> Planes:
         """Match points with the plane of the voxel around each that predicts it best."""
-        n = len(points_w)
-        best = np.full(n, np.inf)
-        at = np.full(n, -1)
-        which = np.zeros(n, dtype=np.int64)
-        for number, level in enumerate(self._levels):
-            slot, found = level.find(points_w)
-            cost = np.where(found, level.cost[slot] + variance, np.inf)
-            is_better = cost < best
-            best[is_better] = cost[is_better]
-            at[is_better] = slot[is_better]
-            which[is_better] = number
-        index = np.flatnonzero(at >= 0)
-        at, which = at[index], which[index]
-        k = len(index)
-        planes = Planes(
+        row = np.empty(len(points_w), dtype=np.int64)
+        self.match_each(np.ascontiguousarray(points_w), row)
+        index = np.flatnonzero(row >= 0)
+        voxel = row[index]
+        found = np.asarray(self._rows)[voxel]
+        return Planes(
             index,
-            np.empty((k, 3)),
-            np.empty((k, 3)),
-            np.empty((k, 2, 3)),
-            np.empty(k),
-            np.empty(k),
-            np.empty(k, dtype=np.int64),
-            at * len(self._levels) + which,
+            found[:, _NORMAL:_CENTRE].copy(),
+            found[:, _CENTRE:_ALONG].copy(),
+            found[:, _ALONG:_OFFSET].copy().reshape(-1, 2, 3),
+            found[:, _OFFSET:_WIDTH].copy(),
+            np.asarray(self._owners)[voxel],
+            voxel,
         )
-        for number, level in enumerate(self._levels):
-            chosen = np.flatnonzero(which == number)
-            level.take(at[chosen], planes, chosen)
-        return planes
+
+    def match_each(self, points: Const[Table[np.float64]], row: Column[np.int64]) -> None:
+        """Write the row of the voxel of least cost around each point, or -1."""
+        for i in range(points.shape[0]):
+            least: float = _NONE
+            size: float = self._size
+            row[i] = -1
+            for level in range(self._levels):
+                shift = _SHIFT * level
+                key = _key(
+                    cython.cast(cython.longlong, floor(points[i, 0] / size + shift)),
+                    cython.cast(cython.longlong, floor(points[i, 1] / size + shift)),
+                    cython.cast(cython.longlong, floor(points[i, 2] / size + shift)),
+                    level,
+                )
+                found = self._slots[self._slot(key), 1]
+                if found >= 0 and self._costs[found] < least:
+                    least = self._costs[found]
+                    row[i] = found
+                size *= 2.0
 
     def forget_far(self, centre_w: Array, radius: float) -> None:
         """Forget the voxels beyond a radius."""
-        for level in self._levels:
-            gap = level.middle[: level.used] - centre_w
-            level.keep(np.einsum("ij,ij->i", gap, gap) < radius * radius)
+        x, y, z = centre_w.tolist()
+        self.forget_each(x, y, z, radius * radius)
+
+    def forget_each(self, x: float, y: float, z: float, square: float) -> None:
+        """Do the work of :meth:`forget_far`."""
+        for row in range(self.used - 1, -1, -1):
+            key = self._keys[row]
+            shift = _SHIFT * (key & _LEVELS)
+            size = self._size * (1 << (key & _LEVELS))
+            dx = (((key >> (2 * _BITS + _LEVEL_BITS)) & _MASK) - _HALF + 0.5 - shift) * size - x
+            dy = (((key >> (_BITS + _LEVEL_BITS)) & _MASK) - _HALF + 0.5 - shift) * size - y
+            dz = (((key >> _LEVEL_BITS) & _MASK) - _HALF + 0.5 - shift) * size - z
+            if dx * dx + dy * dy + dz * dz >= square:
+                self._remove(row)
 
     def forget_owner(self, owner: int) -> None:
         """Forget the voxels that are tied to an anchor."""
-        for level in self._levels:
-            level.keep(level.owner[: level.used] != owner)
+        for row in range(self.used - 1, -1, -1):
+            if self._owners[row] == owner:
+                self._remove(row)
 
-    def owned(self) -> Indices:
-        """Return the owner of each voxel."""
-        return np.concatenate([level.owner[: level.used] for level in self._levels])
+    def _remove(self, row: int) -> None:
+        """Forget a voxel; the last row takes its place."""
+        last = self._slots.shape[0] - 1
+        free: int = self._slot(self._keys[row])
+        at: int = (free + 1) & last
+        # What was put behind it for want of a place moves up
+        while self._slots[at, 1] >= 0:
+            home = _hash(self._slots[at, 0]) & last
+            if ((at - home) & last) >= ((at - free) & last):
+                self._slots[free, 0], self._slots[free, 1] = self._slots[at, 0], self._slots[at, 1]
+                free = at
+            at = (at + 1) & last
+        self._slots[free, 1] = -1
+        self.used -= 1
+        if row == self.used:
+            return
+        self._slots[self._slot(self._keys[self.used]), 1] = row
+        self._keys[row], self._owners[row] = self._keys[self.used], self._owners[self.used]
+        self._costs[row], self._marks[row] = self._costs[self.used], self._marks[self.used]
+        for column in range(_WIDTH):
+            self._rows[row, column] = self._rows[self.used, column]
+
+    def _make_room(self, size: int) -> None:
+        """Let so many voxels be made."""
+        if size <= len(self._keys):
+            return
+        size = max(size, 2 * self.used)
+        before = self._columns()
+        self._rows = np.zeros((size, _WIDTH))
+        self._keys, self._owners = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
+        self._costs, self._marks = np.zeros(size), np.zeros(size, dtype=np.int64)
+        for new, old in zip(self._columns(), before, strict=True):
+            new[: self.used] = old[: self.used]
+        self._changed = np.zeros(size, dtype=np.int64)
+        self._slots = np.full((1 << (2 * size).bit_length(), 2), -1, dtype=np.int64)
+        self.place_each()
+
+    def _columns(self) -> list[Any]:
+        """Return what is kept of each voxel."""
+        columns = [np.asarray(self._rows), np.asarray(self._costs), np.asarray(self._keys)]
+        return [*columns, np.asarray(self._owners), np.asarray(self._marks)]
+
+    def place_each(self) -> None:
+        """Put all voxels to their places, which are free."""
+        for row in range(self.used):
+            at = self._slot(self._keys[row])
+            self._slots[at, 0], self._slots[at, 1] = self._keys[row], row
+
+    def owners(self) -> set[int]:
+        """Return the anchors that voxels are tied to."""
+        return set(np.flatnonzero(np.bincount(np.asarray(self._owners)[: self.used])).tolist())
 
     def points(self) -> Array:
         """Return the mean of the points of each smallest voxel, m, shape (n, 3)."""
-        level = self._levels[0]
-        used = level.used
-        return level.middle[:used] + level.sums[:used, :3] / level.count[:used, None]
+        rows = np.asarray(self._rows)[: self.used]
+        smallest = rows[np.asarray(self._keys)[: self.used] & _LEVELS == 0]
+        return np.asarray(
+            smallest[:, _MIDDLE:_COUNT] + smallest[:, _SUMS : _SUMS + 3] / smallest[:, [_COUNT]]
+        )
 
 
-class _Level:
-    """Voxels of one size."""
+def _key(i: int, j: int, k: int, level: int) -> int:
+    """Return the number of a cell; cells that are 131 km apart have the same."""
+    i, j, k = (i + _HALF) & _MASK, (j + _HALF) & _MASK, (k + _HALF) & _MASK
+    return (((((i << _BITS) | j) << _BITS) | k) << _LEVEL_BITS) | level
 
-    def __init__(self, size: float, shift: float, settings: Settings) -> None:
-        self.size, self._shift = size, shift
-        self._thickest = (THICKEST * settings.range_noise) ** 2
-        self._bias_var = settings.range_bias**2
-        self._face = 3.0 * settings.range_noise
-        self.used = 0
-        self._keys = np.empty(0, dtype=np.int64)
-        self._slots = np.empty(0, dtype=np.int64)
-        self._allocate(1024)
 
-    def _allocate(self, size: int) -> None:
-        shapes = {
-            "key": ((size,), np.int64),
-            "middle": ((size, 3), np.float64),
-            "count": ((size,), np.float64),
-            "sums": ((size, 9), np.float64),
-            "noise": ((size,), np.float64),
-            "owner": ((size,), np.int64),
-            "lead": ((size,), np.float64),
-            "cost": ((size,), np.float64),
-            "normal": ((size, 3), np.float64),
-            "centre": ((size, 3), np.float64),
-            "along": ((size, 2, 3), np.float64),
-            "offset": ((size,), np.float64),
-            "scatter": ((size,), np.float64),
-        }
-        for name, (shape, kind) in shapes.items():
-            made = np.zeros(shape, dtype=kind)
-            if self.used:
-                made[: self.used] = getattr(self, name)[: self.used]
-            setattr(self, name, made)
-
-    key: Indices
-    middle: Array
-    count: Array
-    sums: Array
-    """Of x, y, z, xx, yy, zz, xy, xz, yz about the middle."""
-    noise: Array
-    owner: Indices
-    lead: Array
-    """Points of the owner less those of others: the owner has the majority."""
-    cost: Array
-    """Variance of a point's distance from the plane, without its own noise; infinite: no plane."""
-    normal: Array
-    centre: Array
-    along: Array
-    offset: Array
-    scatter: Array
-
-    def _key(self, points_w: Array) -> tuple[Indices, Indices]:
-        cell = np.floor(points_w / self.size + self._shift).astype(np.int64)
-        packed = cell + _HALF
-        return (packed[:, 0] << 2 * _BITS) | (packed[:, 1] << _BITS) | packed[:, 2], cell
-
-    def find(self, points_w: Array) -> tuple[Indices, Mask]:
-        """Return the voxel of each point, and whether there is one."""
-        if not self.used:
-            return np.zeros(len(points_w), dtype=np.int64), np.zeros(len(points_w), dtype=np.bool_)
-        key, _ = self._key(points_w)
-        place = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
-        return self._slots[place], self._keys[place] == key
-
-    def insert(self, points_w: Array, variance: Array, owner: int) -> None:
-        """Add points to their voxels, as far as these are not full."""
-        key, cell = self._key(points_w)
-        slot, found = self.find(points_w)
-        missing = np.flatnonzero(~found)
-        if len(missing):
-            fresh, first, back = np.unique(key[missing], return_index=True, return_inverse=True)
-            start, end = self.used, self.used + len(fresh)
-            if end > len(self.count):
-                self._allocate(2 * end)
-            self.key[start:end] = fresh
-            self.middle[start:end] = (cell[missing[first]] + 0.5 - self._shift) * self.size
-            self.count[start:end] = self.noise[start:end] = 0.0
-            self.sums[start:end] = 0.0
-            self.owner[start:end] = owner
-            self.lead[start:end] = 0.0
-            self.cost[start:end] = np.inf
-            self.used = end
-            slot = slot.copy()
-            slot[missing] = start + back
-            where = np.searchsorted(self._keys, fresh)
-            self._keys = np.insert(self._keys, where, fresh)
-            self._slots = np.insert(self._slots, where, np.arange(start, end))
-        room = self.count[slot] < MOST_POINTS
-        slot, points_w, variance = slot[room], points_w[room], variance[room]
-        if not len(slot):
-            return
-        changed, back = np.unique(slot, return_inverse=True)
-        q = points_w - self.middle[slot]
-        columns = [q[:, 0], q[:, 1], q[:, 2]]
-        columns += [q[:, 0] ** 2, q[:, 1] ** 2, q[:, 2] ** 2]
-        columns += [q[:, 0] * q[:, 1], q[:, 0] * q[:, 2], q[:, 1] * q[:, 2]]
-        for j, column in enumerate(columns):
-            self.sums[changed, j] += np.bincount(back, column, len(changed))
-        count = np.bincount(back, minlength=len(changed))
-        self.count[changed] += count
-        # Boyer and Moore's vote: whose points are the most
-        lead = self.lead[changed] + np.where(self.owner[changed] == owner, count, -count)
-        self.owner[changed[lead < 0.0]] = owner
-        self.lead[changed] = np.abs(lead)
-        self.noise[changed] += np.bincount(back, variance, len(changed))
-        self._fit(changed)
-
-    def _fit(self, slot: Indices) -> None:
-        """Fit the planes of voxels."""
-        slot = slot[self.count[slot] >= LEAST_POINTS]
-        if not len(slot):
-            return
-        n = self.count[slot]
-        s = self.sums[slot] / n[:, None]
-        mean = s[:, :3]
-        C = s[:, [3, 6, 7, 6, 4, 8, 7, 8, 5]].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None]
-        size, axes = np.linalg.eigh(C)
-        size = np.maximum(size, 1e-8)
-        thick = size[:, 0] * n / (n - 3.0)
-        expected = self.noise[slot] / n
-        var = np.maximum(thick, expected)
-        # Few lasers reach one voxel: their biases do not average out as noise does
-        # nor does what a surface is rough or curved by
-        rough = np.maximum(thick - expected, 0.0)
-        remaining = var / n + self._bias_var / LASERS + rough / PATCHES
-        slope = remaining[:, None] / size[:, 1:]
-        normal = axes[:, :, 0]
-        is_plane = (thick < self._thickest) & (slope[:, 0] < LARGEST_SLOPE**2)
-        # A plane along a face has lost the points on its other side
-        face = np.abs(0.5 * self.size - np.abs(mean)) < self._face
-        is_plane &= ~(face & (np.abs(normal) > 0.9)).any(axis=1)
-        self.normal[slot] = normal
-        self.centre[slot] = self.middle[slot] + mean
-        self.along[slot] = np.sqrt(slope)[:, :, None] * axes[:, :, 1:].transpose(0, 2, 1)
-        self.offset[slot] = remaining
-        self.scatter[slot] = thick
-        # At a point as far from the centre as they are on the average
-        self.cost[slot] = np.where(is_plane, thick + 3.0 * remaining, np.inf)
-
-    def take(self, slot: Indices, planes: Planes, where: Indices) -> None:
-        """Write the planes of voxels to their places."""
-        planes.normal[where] = self.normal[slot]
-        planes.centre[where] = self.centre[slot]
-        planes.along[where] = self.along[slot]
-        planes.offset[where] = self.offset[slot]
-        planes.scatter[where] = self.scatter[slot]
-        planes.owner[where] = self.owner[slot]
-
-    def keep(self, is_kept: Mask) -> None:
-        """Forget all voxels but some."""
-        if is_kept.all():
-            return
-        kept = np.flatnonzero(is_kept)
-        for name in ("key", "middle", "count", "sums", "noise", "owner", "lead", "cost"):
-            getattr(self, name)[: len(kept)] = getattr(self, name)[kept]
-        for name in ("normal", "centre", "along", "offset", "scatter"):
-            getattr(self, name)[: len(kept)] = getattr(self, name)[kept]
-        self.used = len(kept)
-        order = np.argsort(self.key[: self.used])
-        self._keys, self._slots = self.key[order], order
+def _hash(key: int) -> int:
+    """Return a number of a cell that neighbours do not have in its last digits."""
+    h = ((key >> (2 * _BITS + _LEVEL_BITS)) & _MASK) * 73856093
+    h = h ^ (((key >> (_BITS + _LEVEL_BITS)) & _MASK) * 19349663)
+    h = h ^ (((key >> _LEVEL_BITS) & _MASK) * 83492791)
+    h = h ^ ((key & _LEVELS) * 40503)
+    return h ^ (h >> 15)

@@ -69,11 +69,16 @@ def test_points_have_the_derivatives_that_the_rows_use():
     scan = deskew(points, times, path, end, end)
     normal = rng.standard_normal((6, 3))
     H = scan.derivatives(end, normal, has_mounting=True)
-    seen = central(lambda dx: np.einsum("ni,ni->n", normal, scan.in_w(end.plus(dx))))
-    np.testing.assert_allclose(H, seen[:, SEEN_WITH_MOUNTING], atol=1e-6)
-    np.testing.assert_allclose(
-        scan.derivatives(end, normal, has_mounting=False), H[:, :12], atol=1e-12
-    )
+    seen = central(lambda dx: np.einsum("ni,ni->n", normal, scan.placed(end.plus(dx))[1]))
+    np.testing.assert_allclose(H[:, :19], seen[:, SEEN_WITH_MOUNTING], atol=1e-6)
+    short = scan.derivatives(end, normal, has_mounting=False)
+    np.testing.assert_array_equal(short, np.delete(H, np.arange(12, 19), axis=1))
+
+    def moved(d):
+        lever = scan.placed(end)[1] - end.pos_w
+        return np.einsum("ni,ni->n", normal, (lever + d[:3]) @ exp(d[3:]).T)
+
+    np.testing.assert_allclose(H[:, 19:], central(moved, POSE), atol=1e-8)
 
 
 def test_a_point_is_where_the_path_was_at_its_time():
@@ -83,7 +88,7 @@ def test_a_point_is_where_the_path_was_at_its_time():
     point = np.array([[3.0, -2.0, 1.0]])
     expected = there.C_wb @ (x.C_bl @ point[0] + x.pos_b) + there.pos_w
     scan = deskew(point, np.array([0.3425]), path, end, end)
-    np.testing.assert_allclose(scan.in_w(end)[0], expected, atol=1e-9)
+    np.testing.assert_allclose(scan.placed(end)[1][0], expected, atol=1e-9)
 
 
 def test_the_error_of_a_pose_moves_the_map_as_a_rigid_body():

@@ -30,6 +30,7 @@ PACKAGE = CORE.parent
 CIMPORTS = "cython.cimports."
 OURS = f"{PACKAGE.name}."
 READERS = {
+    "lidar": ("loops", "voxel_map"),
     "logs": ("csv_lines", "dataflash_search", "json_objects", "tlog_search", "ulog_search"),
     "mavlink": ("dejitter", "payload", "reader", "sequence", "timebase"),
     "mavlink.decode": ("fix", "preference", "state"),
