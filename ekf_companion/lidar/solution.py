@@ -13,7 +13,7 @@ import numpy as np
 from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, exp, log, to_quaternion
+from ekf_companion.lidar.state import ATT, POS, VEL, exp, log
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
@@ -227,7 +227,7 @@ def levelled(down: Array) -> Array:
 
 
 def _xyzw(C: Array) -> list[float]:
-    w, x, y, z = to_quaternion(C).tolist()
+    w, x, y, z = so3.from_matrix(C).tolist()
     return [x, y, z, w]
 
 

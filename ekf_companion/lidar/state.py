@@ -86,13 +86,5 @@ def exp(phi: Array) -> Array:
 
 
 def log(C: Array) -> Array:
-    """Return the rotation vector of a matrix, rad, shape (3,); below half a turn."""
-    axis = 0.5 * np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
-    sine = float(np.sqrt(axis @ axis))
-    angle = float(np.arctan2(sine, 0.5 * (np.trace(C) - 1.0)))
-    return axis * (angle / sine if sine > 1e-9 else 1.0)  # the next term of the series is 1e-18
-
-
-def to_quaternion(C: Array) -> Array:
-    """Return the quaternion of a matrix, shape (4,)."""
-    return so3.exp(log(C))
+    """Return the rotation vector of a matrix, rad, shape (3,); up to half a turn."""
+    return so3.log(so3.from_matrix(C))

@@ -106,6 +106,34 @@ def to_matrix(q: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def from_matrix(C: Array) -> Array:
+    """Return the quaternion of a direction cosine matrix, w >= 0, shape (..., 4).
+
+    Of the four forms the one whose first number is largest, as no digit is lost there.
+
+    Source: Shepperd 1978, "Quaternion from rotation matrix", J. Guidance and Control 1(3).
+    """
+    C = np.asarray(C, dtype=float)
+    if C.ndim == 2:
+        (a, b, c), (d, e, f), (g, h, i) = C.tolist()
+    else:
+        rows = (np.moveaxis(row, -1, 0) for row in np.moveaxis(C, -2, 0))
+        (a, b, c), (d, e, f), (g, h, i) = rows
+    x, y, z, xy, xz, yz = h - f, c - g, d - b, d + b, c + g, h + f
+    squares = (1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i)
+    forms = (
+        (squares[0], x, y, z),
+        (x, squares[1], xy, xz),
+        (y, xy, squares[2], yz),
+        (z, xz, yz, squares[3]),
+    )
+    if C.ndim == 2:
+        return normalise(np.array(forms[squares.index(max(squares))]))
+    largest = np.argmax(np.stack(squares, -1), axis=-1)[..., None, None]
+    table = np.stack([np.stack(form, -1) for form in forms], -2)
+    return normalise(np.take_along_axis(table, largest, -2)[..., 0, :])
+
+
 def rotate(q: Array, v: Array) -> Array:
     """Rotate v by q, as ``q_nb`` rotates ``v_b`` into ``v_n``, shape (..., 3)."""
     return np.asarray(np.einsum("...ij,...j->...i", to_matrix(q), np.asarray(v, dtype=float)))

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.errors import part_of
+from ekf_companion.nav import so3
 from sim_autopilot.lidar.motion import GRAVITY
 from sim_autopilot.lidar.record import TICK, UNIT, Simulated
-from sim_autopilot.lidar.worlds import Array
 
 _LATENCY = 5_000_000
 """ns, from the end of a scan or sample to its record."""
@@ -43,7 +43,7 @@ def write_sequence(folder: Path, flown: Simulated) -> None:
         folder / "truth.npz",
         t=t,
         p=flown.motion.position(t),
-        q=to_quaternion(flown.motion.rotation(t)),
+        q=np.roll(so3.from_matrix(flown.motion.rotation(t)), -1, axis=-1),
         v=flown.motion.velocity(t).astype(np.float32),
         bias_t=flown.imu_stamp[::every],
         gyro_bias=flown.gyro_bias[::every].astype(np.float32),
@@ -88,38 +88,6 @@ def _calib(flown: Simulated) -> dict[str, Any]:
             "angle_sigma_rad": beams.angle_sigma,
         },
     }
-
-
-def to_quaternion(rotation: Array) -> Array:
-    """Return quaternions (x, y, z, w) of rotations, shape (n, 4), w >= 0."""
-    m = rotation
-    trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
-    # All four forms, each exact where its first number is large: the largest is taken
-    quarter = np.stack(
-        (
-            1 + 2 * m[:, 0, 0] - trace,
-            1 + 2 * m[:, 1, 1] - trace,
-            1 + 2 * m[:, 2, 2] - trace,
-            1 + trace,
-        ),
-        -1,
-    )
-    a, b, c = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    d, e, f = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
-    x, y, z, w = quarter.T
-    forms = np.stack(
-        (
-            np.stack((x, d, e, a), -1),
-            np.stack((d, y, f, b), -1),
-            np.stack((e, f, z, c), -1),
-            np.stack((a, b, c, w), -1),
-        ),
-        1,
-    )
-    q = forms[np.arange(len(m)), quarter.argmax(axis=1)]
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    unit: Array = np.where(q[:, 3:] < 0, -q, q)
-    return unit
 
 
 def write_bag(path: Path, flown: Simulated) -> None:
@@ -220,7 +188,7 @@ class _Messages:
 
     def transforms(self, flown: Simulated) -> Any:
         vector = self._types["geometry_msgs/msg/Vector3"]
-        x, y, z, w = map(float, to_quaternion(flown.lidar.rotation[None])[0])
+        w, x, y, z = so3.from_matrix(flown.lidar.rotation).tolist()
         one = self._types["geometry_msgs/msg/TransformStamped"](
             self._head(0, "imu"),
             "lidar",

@@ -12,7 +12,7 @@ vectors = st.lists(st.floats(-1.8, 1.8), min_size=3, max_size=3).map(np.array)
 
 
 def scipy_of(q: np.ndarray) -> Rotation:
-    return Rotation.from_quat(np.roll(q, -1))
+    return Rotation.from_quat(np.roll(q, -1, axis=-1))
 
 
 @given(vectors)
@@ -26,6 +26,25 @@ def test_products_turn_as_matrices_do(a, b):
     product = so3.to_matrix(so3.multiply(p, q))
     np.testing.assert_allclose(product, so3.to_matrix(p) @ so3.to_matrix(q), atol=1e-12)
     np.testing.assert_allclose(so3.to_matrix(q), scipy_of(q).as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("short", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.5, np.pi - 1e-9, np.pi])
+def test_a_matrix_gives_its_rotation_up_to_half_a_turn(short):
+    rng = np.random.default_rng(2)
+    axis = rng.standard_normal((200, 3))
+    axis[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    phi = (np.pi - short) * axis
+    C = scipy_of(so3.exp(phi)).as_matrix()
+    q = so3.from_matrix(C)
+    assert (q[:, 0] >= 0.0).all()
+    np.testing.assert_allclose(so3.to_matrix(q), C, atol=1e-15 * 4)
+    found = so3.log(q)
+    # At half a turn itself either axis is right
+    same = np.sign(np.einsum("ni,ni->n", found, axis))[:, None] if short < 1e-12 else 1.0
+    np.testing.assert_allclose(found, same * phi, atol=3e-15)
+    for row in range(len(C)):
+        assert so3.from_matrix(C[row]).tobytes() == q[row].tobytes()
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))

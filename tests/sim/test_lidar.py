@@ -8,7 +8,7 @@ from sim_autopilot.__main__ import app
 from sim_autopilot.lidar.motion import GRAVITY
 from sim_autopilot.lidar.record import TICK, UNIT, ImuErrors, simulate
 from sim_autopilot.lidar.worlds import WORLDS
-from sim_autopilot.lidar.write import to_quaternion, write_sequence
+from sim_autopilot.lidar.write import write_sequence
 
 PERFECT = ImuErrors(
     gyro_noise=0, accel_noise=0, gyro_bias=0, accel_bias=0, gyro_walk=0, accel_walk=0
@@ -104,14 +104,6 @@ def test_the_noise_and_the_biases_are_those_of_the_sensor():
     density = error.std() / np.sqrt(noisy.errors.rate)
     assert density == pytest.approx(noisy.errors.gyro_noise, rel=0.05)
     assert 0.0005 < np.abs(noisy.gyro_bias).max() < 0.02
-
-
-def test_quaternions_are_those_of_the_rotations():
-    R = np.stack([rotation(v) for v in np.random.default_rng(1).normal(0, 2, (50, 3))])
-    x, y, z, w = to_quaternion(R).T
-    assert np.allclose(R[:, 0, 1], 2 * (x * y - z * w))
-    assert np.allclose(R[:, 2, 1], 2 * (y * z + x * w))
-    assert np.allclose(R[:, 0, 0], 1 - 2 * (y * y + z * z))
 
 
 def test_cars_move_in_the_street():

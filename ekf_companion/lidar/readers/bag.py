@@ -16,6 +16,7 @@ from ekf_companion.lidar.readers import custom_message
 from ekf_companion.lidar.readers.point_cloud import Cloud, Field, unpack
 from ekf_companion.lidar.readers.source import Source, StoredInertial, StoredScan
 from ekf_companion.lidar.recording import Mounting
+from ekf_companion.nav import so3
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMU = "sensor_msgs/msg/Imu"
@@ -234,7 +235,10 @@ def _mounting(reader: Any, imu: str, lidar: str) -> tuple[Mounting | None, list[
         for connection, _, raw in reader.messages(connections=connections):
             for one in reader.deserialize(raw, connection.msgtype).transforms:
                 q, t = one.transform.rotation, one.transform.translation
-                rotation, move = _matrix(q.x, q.y, q.z, q.w), np.array((t.x, t.y, t.z))
+                w_xyz = so3.normalise(np.array((q.w, q.x, q.y, q.z), np.float64))
+                rotation, move = so3.to_matrix(w_xyz), np.array((t.x, t.y, t.z))
+                if not np.isfinite(rotation).all():
+                    continue  # of no length: no rotation
                 parent, child = one.header.frame_id.strip("/"), one.child_frame_id.strip("/")
                 steps.setdefault(child, []).append((parent, rotation, move))
                 steps.setdefault(parent, []).append((child, rotation.T, -rotation.T @ move))
@@ -253,15 +257,3 @@ def _mounting(reader: Any, imu: str, lidar: str) -> tuple[Mounting | None, list[
     if imu in reached:
         return Mounting(*reached[imu]), [f"the mounting is that of /tf_static, {lidar} in {imu}"]
     return None, [f"/tf_static does not join the frames {lidar or '(none)'} and {imu or '(none)'}"]
-
-
-def _matrix(x: float, y: float, z: float, w: float) -> Any:
-    """Return the rotation of a quaternion, of unit length or not."""
-    s = 2.0 / max(w * w + x * x + y * y + z * z, 1e-12)
-    return np.array(
-        (
-            (1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
-            (s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)),
-            (s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)),
-        )
-    )
