@@ -21,6 +21,7 @@ from ekf_companion.lidar.state import (
     ATT,
     DELAY,
     DOWN,
+    EXCESS,
     GYRO_BIAS,
     POS,
     VEL,
@@ -140,7 +141,7 @@ def propagate(
 
     Returns:
         The state, the derivative of its error state by the one before and the covariance that the
-        motion adds, both of shape (24, 24), and the path.
+        motion adds, both of shape (27, 27), and the path.
     """
     first, last = np.searchsorted(samples.stamp, [start, end], side="right")
     inside = samples.stamp[first:last]
@@ -149,7 +150,7 @@ def propagate(
     dt = np.diff(t)
     middle = 0.5 * (t[1:] + t[:-1])
     rate, force, is_clipped, span, vibration = _means(samples, middle)
-    rate = rate - x.gyro_bias
+    rate = rate - x.gyro_bias - x.excess
     force_b = force - x.accel_bias
     gravity_w = settings.gravity * x.down_w
 
@@ -198,7 +199,7 @@ def propagate(
         vel,
         rate,
         accel_w,
-        int(np.count_nonzero(samples_clipped(samples, start, end))),
+        int(np.count_nonzero(clipped_between(samples, start, end).any(axis=1))),
         float(dt[is_gap].sum()),
     )
     C_end = C[-1]
@@ -207,10 +208,10 @@ def propagate(
     return x.moved(U @ V, pos[-1], vel[-1]), Phi, Q, path
 
 
-def samples_clipped(samples: Samples, start: float, end: float) -> Mask:
-    """Return which samples between two times are at the end of a range."""
+def clipped_between(samples: Samples, start: float, end: float) -> Mask:
+    """Return which axes are at the end of their range between two times, by sample, (n, 6)."""
     first, last = np.searchsorted(samples.stamp, [start, end])
-    return np.asarray(samples.is_clipped[first:last].any(axis=1))
+    return samples.is_clipped[first:last]
 
 
 def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -233,7 +234,7 @@ def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array,
 
 
 def _transition(rate: Array, force: Array, C: Array, h: float, tilt: Array) -> Array:
-    """Return the derivative of the error state after a step by the one before, (24, 24)."""
+    """Return the derivative of the error state after a step by the one before, (27, 27)."""
     F = np.eye(N)
     turn = exp(-rate * h)
     F[ATT, ATT] = turn
@@ -250,11 +251,12 @@ def _transition(rate: Array, force: Array, C: Array, h: float, tilt: Array) -> A
     F[VEL, DOWN] = h * tilt
     F[POS, DOWN] = 0.5 * h * h * tilt
     F[POS, VEL] = h * np.eye(3)
+    F[:9, EXCESS] = F[:9, GYRO_BIAS]
     return F
 
 
 def _noise(C: Array, q: Array, h: float) -> Array:
-    """Return the covariance that white noise of variances ``q`` per second adds, (24, 24)."""
+    """Return the covariance that white noise of variances ``q`` per second adds, (27, 27)."""
     Q = np.zeros((N, N))
     Q[ATT, ATT] = np.diag(q[:3] * h)
     A = (C * q[3:6]) @ C.T

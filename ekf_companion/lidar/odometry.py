@@ -15,16 +15,21 @@ import numpy as np
 
 from ekf_companion.lidar import start
 from ekf_companion.lidar.deskew import Deskewed, deskew
-from ekf_companion.lidar.motion import Samples, prepare, propagate
+from ekf_companion.lidar.motion import Path, Samples, clipped_between, prepare, propagate
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
 from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, DOWN, POS, POSE, VEL, N, State
-from ekf_companion.lidar.update import Anchor, correct, first, shift_by_pose
+from ekf_companion.lidar.state import ATT, DOWN, EXCESS, POS, POSE, VEL, N, State
+from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_pose
 from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.nav.so3 import skew
+
+PARTS = 3
+"""Of a scan in which the gyro is at the end of its range: in each what is beyond is constant."""
+EXCESS_RATE = 1.0
+"""Of it, one sigma, rad/s: a hand or a multirotor turns twice as fast as a small range."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,7 +40,7 @@ class Estimate:
     """s, lidar clock."""
     state: State
     P: Array
-    """Of the error state without the anchors, shape (24, 24)."""
+    """Of the error state without the anchors, shape (27, 27)."""
     relative: RelativePose | None
     """Since the last anchor, where this pose became one."""
     sums: Sums | None
@@ -105,11 +110,47 @@ class Odometry:
         return [self._step(scan) for scan in scans]
 
     def _step(self, scan: Scan) -> Estimate:
-        # Carry the state to the end of the scan
         end_l = scan.stamp + (float(scan.times.max()) if len(scan.times) else 0.0)
+        clipped, lost, evaluations, update = 0, 0.0, 0, None
+        for part, until in self._parts(scan, end_l):
+            update, path = self._advance(part, until)
+            clipped, lost = clipped + path.clipped, lost + path.lost
+            evaluations += update.evaluations
+        return Estimate(
+            stamp=end_l,
+            state=self.x,
+            P=self.P[:N, :N],
+            relative=self._mark(end_l),
+            sums=None if update is None else update.sums,
+            clipped=clipped,
+            lost=lost,
+            evaluations=evaluations,
+        )
+
+    def _parts(self, scan: Scan, end_l: float) -> Iterator[tuple[Scan, float]]:
+        """Yield a scan, or its parts if the gyro is at the end of its range, and the end of each.
+
+        How fast the body turned beyond it is estimated for each part.
+        """
+        end = end_l + self.x.delay
+        is_clipped = clipped_between(self._samples, self._time, end)[:, :3].any()
+        if self._marked is None or not is_clipped:
+            yield scan, end_l
+            return
+        edges = np.linspace(min(self._time - self.x.delay, end_l), end_l, PARTS + 1)
+        which = np.clip(np.searchsorted(edges, scan.stamp + scan.times) - 1, 0, PARTS - 1)
+        for k in range(PARTS):
+            mine = which == k
+            yield Scan(scan.stamp, scan.points[mine], scan.times[mine]), float(edges[k + 1])
+
+    def _advance(self, scan: Scan, end_l: float) -> tuple[Update, Path]:
+        """Take a scan, or part of one, up to a time on the lidar's clock."""
+        # Carry the state to its end
         end = max(end_l + self.x.delay, self._time)
-        x, Phi, Q, path = propagate(self.x, self._samples, self._time, end, self.settings)
         P = self.P.copy()
+        is_clipped = clipped_between(self._samples, self._time, end)[:, :3].any(axis=0)
+        P[EXCESS, EXCESS] = np.diag(EXCESS_RATE**2 * is_clipped)
+        x, Phi, Q, path = propagate(self.x, self._samples, self._time, end, self.settings)
         P[:N] = Phi @ P[:N]
         P[:, :N] = P[:, :N] @ Phi.T
         P[:N, :N] += Q
@@ -143,19 +184,11 @@ class Odometry:
             for number, share in update.sums.usage.items():
                 self._usage[number] = self._usage.get(number, 0.0) * 0.9 + 0.1 * share
 
-        # What was gained since the last mark; then the map learns the scan
-        relative = self._mark(end_l)
+        # The map learns the scan
         self._insert(whole, end_l)
-        return Estimate(
-            stamp=end_l,
-            state=self.x,
-            P=self.P[:N, :N],
-            relative=relative,
-            sums=update.sums,
-            clipped=path.clipped,
-            lost=path.lost,
-            evaluations=update.evaluations,
-        )
+        self.x = replace(self.x, excess=np.zeros(3))
+        self.P[EXCESS] = self.P[:, EXCESS] = 0.0
+        return update, path
 
     def _choose(self, scan: Scan) -> tuple[Array, Array]:
         """Return the points within range, and their times."""

@@ -12,7 +12,7 @@ MOUNT_ATT = 0
 MOUNT_POS = 9
 """Lidar in the body, m."""
 BIAS = 12
-"""Gyro bias less that of the path, rad/s."""
+"""Error of the rate less that of the path, rad/s."""
 ATT = 15
 """Body to w, nine numbers."""
 POS = 24
@@ -33,7 +33,7 @@ def pack(x: State, prior: State, rate_b: Array) -> Array:
         [
             x.C_bl.ravel(),
             x.pos_b,
-            x.gyro_bias - prior.gyro_bias,
+            x.gyro_bias + x.excess - prior.gyro_bias - prior.excess,
             x.C_wb.ravel(),
             x.pos_w,
             x.vel_w - prior.vel_w,

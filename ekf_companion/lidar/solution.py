@@ -13,7 +13,7 @@ import numpy as np
 from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, exp, log
+from ekf_companion.lidar.state import ATT, POS, VEL, N, exp, log
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
@@ -71,7 +71,7 @@ class Solution:
         Relative to the first pose; position in the levelled world, attitude as a rotation vector of
         the body.
         """
-        T = np.zeros((6, 24))
+        T = np.zeros((6, N))
         T[:3, POS], T[3:, ATT] = self.C_level, np.eye(3)
         rows = [[one.stamp, *(T @ one.P @ T.T)[UPPER]] for one in self.estimates]
         return np.array(rows).reshape(-1, 22)

@@ -44,10 +44,9 @@ BLOCKS = 5
 """Parts of the start of which the mean rates and forces are compared."""
 STILL_RATE, STILL_FORCE = 0.01, 0.1
 """Largest sigma of those at rest, rad/s and m/s^2: a hand or a pilot does not hold stiller."""
-LEAST_RATE = 5e-4
-"""Least sigma of the rate at rest, rad/s."""
-REST_SPEED = 0.05
-"""Sigma of the velocity at rest, m/s: a vehicle rocks."""
+REST_RATE, REST_SPEED = 3e-3, 0.05
+"""Sigma of both at rest, rad/s and m/s: a vehicle rocks, or has begun to turn. What the samples
+show from one part to the next is no bound: a steady turn changes nothing."""
 TAIL = 2.0
 """Sigmas at which a row has half its weight."""
 
@@ -59,7 +58,7 @@ def find(
     settings: Settings,
     delay: float = 0.0,
 ) -> tuple[State, Array]:
-    """Return the state at the beginning of the first scan, and its covariance, shape (24, 24).
+    """Return the state at the beginning of the first scan, and its covariance, shape (27, 27).
 
     The world is the body there; the position and the attitude are zero by definition.
     """
@@ -106,7 +105,7 @@ def _rest(scans: Sequence[Scan], samples: Samples) -> tuple[Array, float] | None
     rate, force = np.std(rates, axis=0).max(), np.std(forces, axis=0).max()
     if rate > STILL_RATE or force > STILL_FORCE:
         return None
-    return np.mean(rates, axis=0), max(float(rate) / np.sqrt(BLOCKS - 1.0), LEAST_RATE)
+    return np.mean(rates, axis=0), max(float(rate), REST_RATE)
 
 
 def _is_still(vel: Array, P: Array) -> bool:

@@ -2,8 +2,8 @@
 
 World w: the body at the first pose. Body b: forward, left, up. Error state: attitude (rotation
 vector in b), position (w), velocity (w), gyro bias, accelerometer bias, direction of gravity (two
-angles), mounting of the lidar (rotation vector in its frame, position in b), delay; then six each,
-attitude and position, of the anchors: poses of the past that the map is tied to.
+angles), mounting of the lidar (rotation vector in its frame, position in b), delay, rate beyond the
+gyro's range; then six each, attitude and position, of the anchors that the map is tied to.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from ekf_companion.nav.direction import direction_minus, direction_plus
 ATT, POS, VEL = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS, DOWN = slice(9, 12), slice(12, 15), slice(15, 17)
 MOUNT_ATT, MOUNT_POS, DELAY = slice(17, 20), slice(20, 23), 23
-N = 24
+EXCESS = slice(24, 27)
+N = 27
 POSE = 6
 
 
@@ -44,9 +45,11 @@ class State:
     """Of the lidar, m."""
     delay: float = 0.0
     """Of the inertial stamps relative to the lidar's, s."""
+    excess: Array = field(default_factory=lambda: np.zeros(3))
+    """Rate beyond the range of the gyro in this part of a scan, negative, rad/s."""
 
     def plus(self, dx: Array) -> State:
-        """Add an error state, shape (24,) or longer."""
+        """Add an error state, shape (27,) or longer."""
         return State(
             C_wb=self.C_wb @ exp(dx[ATT]),
             pos_w=self.pos_w + dx[POS],
@@ -57,10 +60,11 @@ class State:
             C_bl=self.C_bl @ exp(dx[MOUNT_ATT]),
             pos_b=self.pos_b + dx[MOUNT_POS],
             delay=self.delay + float(dx[DELAY]),
+            excess=self.excess + dx[EXCESS],
         )
 
     def minus(self, other: State) -> Array:
-        """Return the error state from the other to this state, shape (24,)."""
+        """Return the error state from the other to this state, shape (27,)."""
         return np.concatenate(
             [
                 log(other.C_wb.T @ self.C_wb),
@@ -72,6 +76,7 @@ class State:
                 log(other.C_bl.T @ self.C_bl),
                 self.pos_b - other.pos_b,
                 [self.delay - other.delay],
+                self.excess - other.excess,
             ]
         )
 

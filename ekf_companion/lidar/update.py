@@ -24,6 +24,7 @@ from ekf_companion.lidar.state import (
     ACCEL_BIAS,
     ATT,
     DOWN,
+    EXCESS,
     MOUNT_ATT,
     POS,
     POSE,
@@ -41,6 +42,8 @@ SETTLED = 0.02
 """Share of one sigma in every state below which a step is the last."""
 SEEN = np.arange(12)
 SEEN_WITH_MOUNTING = np.concatenate([np.arange(12), np.arange(17, 24)])
+RATE = np.arange(9, 12)
+"""Columns of a row for the error of the rate: the bias, and what is beyond the gyro's range."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +81,7 @@ def correct(
     """Find the state of least cost from a prior and the covariance of its error state."""
     x, sums = prior, None
     apart = _apart(prior, P, anchors)
+    has_excess = bool(P[EXCESS, EXCESS].any())
     L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
     for iteration in range(1, iterations + 1):
         sums = rows(x, P[:POSE, :POSE], apart)
@@ -88,7 +92,7 @@ def correct(
         P_here = P if G is None else _reset(P, G)
         if G is not None:
             e = G @ e
-        seen, A, b = assemble(sums, anchors, x)
+        seen, A, b = assemble(sums, anchors, x, has_excess=has_excess)
         full = np.zeros(len(P))
         full[:N] = e
         S = np.eye(len(seen)) + A @ P_here[np.ix_(seen, seen)]
@@ -134,7 +138,9 @@ def _apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
     return {one.number: made[k] for k, one in enumerate(anchors)}
 
 
-def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, Array, Array]:
+def assemble(
+    sums: Sums, anchors: Sequence[Anchor], x: State, *, has_excess: bool
+) -> tuple[Indices, Array, Array]:
     """Return the error states that the rows depend on, and the normal equations in them."""
     m = sums.columns
     place = {anchor.number: k for k, anchor in enumerate(anchors)}
@@ -163,11 +169,15 @@ def assemble(sums: Sums, anchors: Sequence[Anchor], x: State) -> tuple[Indices, 
         seen[m:] = (first(0) + POSE * np.array(which)[:, None] + np.arange(POSE)).ravel()
     # That error is unknown and taken out (Woodbury)
     L = np.linalg.solve(np.diag(1.0 / sums.common) + D, np.column_stack([K.T, d]))
-    return seen, np.asarray(A - K @ L[:, :-1]), np.asarray(b - K @ L[:, -1])
+    A, b = np.asarray(A - K @ L[:, :-1]), np.asarray(b - K @ L[:, -1])
+    if not has_excess:
+        return seen, A, b
+    again = np.concatenate([np.arange(size), RATE])
+    return np.concatenate([seen, np.arange(N)[EXCESS]]), A[np.ix_(again, again)], b[again]
 
 
 def _without(open_w: Array, dx: Array) -> Array:
-    """Return corrections without those of what has no hold, shape (24, ...).
+    """Return corrections without those of what has no hold, shape (27, ...).
 
     These are position and velocity along the open directions; and gravity and accelerometer bias,
     which show in motion along them, and otherwise only by what the planes' errors feign.
@@ -215,7 +225,7 @@ def _reset(P: Array, G: Array) -> Array:
 
 
 def reset_matrix(x: State, prior: State) -> Array | None:
-    """Return the derivative of the error state about x by that about the prior, (24, 24).
+    """Return the derivative of the error state about x by that about the prior, (27, 27).
 
     None: identity.
     """
