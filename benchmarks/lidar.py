@@ -120,7 +120,7 @@ def run(case: Case) -> tuple[Solution, list[float]]:
     settings = case.settings(
         Settings(least_range=calib["range_min_m"], most_range=calib["range_max_m"])
     )
-    recording, delay = calibrated(case.change(read(path)), settings)
+    recording, settings, delay = calibrated(case.change(read(path)), settings)
     odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
     estimates, spent = [], []
     for scan in recording.scans:

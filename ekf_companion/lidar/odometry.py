@@ -20,7 +20,7 @@ from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, 
 from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import ATT, DOWN, EXCESS, POS, POSE, VEL, N, State
-from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_pose
+from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_state
 from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_by_angles
@@ -208,14 +208,14 @@ class Odometry:
             self._begin_anchor(stamp)
         if not len(scan.points):
             return
-        # The error of this part is the mean of those of the poses by which it was made
+        # The error of this part is the mean of those of the states by which it was made
         k = len(self.anchors) - 1
-        T = shift_by_pose(self.x, self.anchors[k].about_w)
+        T = shift_by_state(self.x, self.anchors[k].about_w, scan.rate_b)
         self._insertions += 1
         share = 1.0 / self._insertions
         at = slice(first(k), first(k + 1))
-        self.P[at] += share * (T @ self.P[:POSE] - self.P[at])
-        self.P[:, at] += share * (self.P[:, :POSE] @ T.T - self.P[:, at])
+        self.P[at] += share * (T @ self.P[:N] - self.P[at])
+        self.P[:, at] += share * (self.P[:, :N] @ T.T - self.P[:, at])
         var = noise_of_points(scan.points, self.settings)
         self.map.insert(scan.placed(self.x)[1], var, self.anchors[k].number)
 

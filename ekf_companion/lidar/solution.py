@@ -13,7 +13,17 @@ import numpy as np
 from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, N, exp, log
+from ekf_companion.lidar.state import (
+    ATT,
+    DELAY,
+    MOUNT_ATT,
+    MOUNT_POS,
+    POS,
+    VEL,
+    N,
+    exp,
+    log,
+)
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
@@ -26,8 +36,10 @@ BEGINNING = 20.0
 """Part of a recording by which mounting and delay are found, s."""
 PASSES = 8
 """Over it, at most."""
-BEYOND = 0.5
-"""Share of a pass's change that is added to it: two thirds of the error are left without it."""
+TURNING = 0.2
+"""Rate of a turn that shows mounting and delay, rad/s: ten times what noise and bias are."""
+AGAIN = 2.0
+"""Factor on the variance of what was found by scans that are taken again."""
 SETTLED_TURN, SETTLED_DELAY = np.radians(0.05), 3e-4
 """Change of a pass below which it is the last, rad and s."""
 LEAST_SIGMA = 0.1
@@ -165,7 +177,7 @@ class Solution:
 
 def solve(recording: Recording, settings: Settings) -> Solution:
     """Return the trajectory of a recording."""
-    recording, delay = calibrated(recording, settings)
+    recording, settings, delay = calibrated(recording, settings)
     odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
     estimates: list[Estimate] = []
     for scan in recording.scans:
@@ -182,40 +194,53 @@ def solve(recording: Recording, settings: Settings) -> Solution:
     )
 
 
-def calibrated(recording: Recording, settings: Settings) -> tuple[Recording, float]:
-    """Return the recording with the mounting that its beginning shows, and the delay.
+def calibrated(recording: Recording, settings: Settings) -> tuple[Recording, Settings, float]:
+    """Return recording and settings with the mounting and the delay that its first turns show.
 
-    A map that was made by a wrong mounting agrees with it: what was found is the next guess, until
-    it stays. The sigmas stay too, as the same scans come again.
+    What was found is the next guess, until it stays, as points of the map are where the guess puts
+    them; each time with the sigmas that were asked for, as the same scans come again.
     """
     delay = 0.0
     if not (settings.is_mounting_estimated or settings.delay_sigma > 0.0):
-        return recording, delay
+        return recording, settings, delay
+    begin = _first_turn(recording)
+    asked = recording.mounting
+    P = np.zeros((0, 0))
     for _ in range(PASSES):
         odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
-        start = None
         for scan in recording.scans:
-            start = scan.stamp if start is None else start
-            if scan.stamp - start > BEGINNING:
+            if scan.stamp > begin + BEGINNING:
                 break
-            odometry.process(scan)
+            if scan.stamp >= begin:
+                odometry.process(scan)
         x, before = odometry.x, recording.mounting
         if not odometry.map:
             break
+        P = odometry.P
         turned = float(np.linalg.norm(log(before.rotation.T @ x.C_bl)))
         is_settled = turned < SETTLED_TURN and abs(x.delay - delay) < SETTLED_DELAY
-        # Each pass leaves a share of the error: go farther the same way
-        turn = log(before.rotation.T @ x.C_bl)
-        mounting = replace(
-            before,
-            rotation=x.C_bl @ exp(BEYOND * turn),
-            position=x.pos_b + BEYOND * (x.pos_b - before.position),
-        )
-        recording = replace(recording, mounting=mounting)
-        delay = x.delay + BEYOND * (x.delay - delay)
+        recording = replace(recording, mounting=replace(asked, rotation=x.C_bl, position=x.pos_b))
+        delay = x.delay
         if is_settled:
             break
-    return recording, delay
+    if len(P):
+        # They are known by the scans that come again: half of what those show counts
+        sigmas = np.sqrt(AGAIN * np.diagonal(P))
+        mounting = replace(
+            recording.mounting,
+            rotation_sigma=float(sigmas[MOUNT_ATT].max()),
+            position_sigma=float(sigmas[MOUNT_POS].max()),
+        )
+        recording = replace(recording, mounting=mounting)
+        settings = replace(settings, delay_sigma=float(sigmas[DELAY]))
+    return recording, settings, delay
+
+
+def _first_turn(recording: Recording) -> float:
+    """Return when the vehicle turns first, s: at rest mounting and delay show in nothing."""
+    rate = np.linalg.norm(recording.inertial.gyro, axis=1)
+    turning = np.flatnonzero(rate > TURNING)
+    return float(recording.inertial.stamp[turning[0]]) if len(turning) else -np.inf
 
 
 def levelled(down: Array) -> Array:

@@ -23,9 +23,11 @@ from ekf_companion.lidar.rows import Sums
 from ekf_companion.lidar.state import (
     ACCEL_BIAS,
     ATT,
+    DELAY,
     DOWN,
     EXCESS,
     MOUNT_ATT,
+    MOUNT_POS,
     POS,
     POSE,
     VEL,
@@ -38,6 +40,8 @@ from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_jacobian
 from ekf_companion.nav.so3 import skew
 
+FARTHEST = 6.0
+"""Sigmas in one state beyond which an update is refused: the rows do not fit together."""
 SETTLED = 0.02
 """Share of one sigma in every state below which a step is the last."""
 SEEN = np.arange(12)
@@ -101,6 +105,9 @@ def correct(
         if open_w.shape[1]:
             gained, e = _without(open_w, gained), _without(open_w, e)
         dx = gained - e
+        if (np.abs(e + dx) > FARTHEST * L).any():
+            # Of rows that do not fit together: their linearisation is not that of where they lead
+            return Update(prior, P, None, iteration)
         after = x.plus(dx)
         is_last = iteration == iterations or bool((np.abs(dx) <= SETTLED * L).all())
         if is_last:
@@ -207,12 +214,24 @@ def moved_to(lever_w: Array) -> Array:
     return T
 
 
-def shift_by_pose(x: State, about_w: Array) -> Array:
-    """Return the derivative of shift and rotation at a point, in w, by a pose's error, (6, 6)."""
-    T = np.zeros((POSE, POSE))
-    T[:3, 3:] = np.eye(3)
-    T[:3, :3] = -skew(about_w - x.pos_w) @ x.C_wb
-    T[3:, :3] = x.C_wb
+def shift_by_state(x: State, about_w: Array, rate_b: Array) -> Array:
+    """Return the derivative of shift and rotation of a scan at a point, in w, (6, 27).
+
+    A scan that is put into the map by a wrong pose is moved as a rigid body; so is one that is put
+    in by a wrong mounting, or by a late pose.
+    """
+    T = np.zeros((POSE, N))
+    lidar_w = x.pos_w + x.C_wb @ x.pos_b
+    T[:3, POS] = np.eye(3)
+    T[:3, MOUNT_POS] = x.C_wb
+    for block, C, pivot in (
+        (ATT, x.C_wb, x.pos_w),
+        (MOUNT_ATT, x.C_wb @ x.C_bl, lidar_w),
+    ):
+        T[:3, block] = -skew(about_w - pivot) @ C
+        T[3:, block] = C
+    T[3:, DELAY] = x.C_wb @ rate_b
+    T[:3, DELAY] = x.vel_w + so3.cross(T[3:, DELAY], about_w - x.pos_w)
     return T
 
 

@@ -9,7 +9,7 @@ from ekf_companion.lidar.odometry import recentred
 from ekf_companion.lidar.recording import InertialSamples
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import ATT, POS, POSE, N, State, exp
-from ekf_companion.lidar.update import SEEN_WITH_MOUNTING, shift_by_pose
+from ekf_companion.lidar.update import SEEN_WITH_MOUNTING, shift_by_state
 
 STEP = 1e-5
 
@@ -91,16 +91,19 @@ def test_a_point_is_where_the_path_was_at_its_time():
     np.testing.assert_allclose(scan.placed(end)[1][0], expected, atol=1e-9)
 
 
-def test_the_error_of_a_pose_moves_the_map_as_a_rigid_body():
+def test_errors_of_pose_mounting_and_delay_move_a_scan_as_a_rigid_body():
     x, about = some_state(), np.array([4.0, -7.0, 2.0])
-    T = shift_by_pose(x, about)
+    rate_b = np.array([0.3, -0.2, 0.5])
+    T = shift_by_state(x, about, rate_b)
+    seen = x.C_bl.T @ (x.C_wb.T @ (about - x.pos_w) - x.pos_b)
 
     def moved(d):
-        there = x.plus(np.concatenate([d, np.zeros(N - POSE)]))
-        seen_from = x.C_wb.T @ (about - x.pos_w)
-        return there.C_wb @ seen_from + there.pos_w - about
+        there = x.plus(d)
+        late = there.delay - x.delay
+        pos_w, C_wb = there.pos_w + late * there.vel_w, there.C_wb @ exp(late * rate_b)
+        return C_wb @ (there.C_bl @ seen + there.pos_b) + pos_w - about
 
-    np.testing.assert_allclose(T[:3], central(moved, POSE), atol=1e-8)
+    np.testing.assert_allclose(T[:3], central(moved), atol=1e-8)
 
 
 def test_a_new_world_has_the_derivative_that_it_says():

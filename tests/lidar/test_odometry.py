@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from ekf_companion.lidar.readers import read
-from ekf_companion.lidar.recording import Scan
+from ekf_companion.lidar.recording import Mounting, Scan
 from ekf_companion.lidar.rows import Shared, _hold
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import lines_of, solve
+from ekf_companion.lidar.state import exp, log
 from ekf_companion.lidar.voxel_map import Planes, VoxelMap
 from sim_autopilot.lidar.record import simulate
 from sim_autopilot.lidar.write import write_sequence
@@ -71,6 +72,31 @@ def test_a_gyro_at_the_end_of_its_range_costs_no_honesty(room, score):
     assert scores["nees_rotation"]["mean"] < 5.0
     # With clipped rates taken as they are, and their points placed by them, 300 and 500
     apart = score.score_relative(str(room[0]), found.relatives())
+    assert apart["nees_position"]["mean"] < 3.0
+    assert apart["nees_rotation"]["mean"] < 3.0
+
+
+@pytest.mark.campaign
+def test_a_mounting_that_is_found_is_found_within_its_own_sigma(tmp_path, score):
+    write_sequence(tmp_path, simulate("room", 33, duration=16.0))
+    whole = read(tmp_path)
+    wrong = whole.mounting.rotation @ exp(np.radians([1.0, -1.5, 2.0]))
+    shifted = whole.mounting.position + np.array([0.02, -0.03, 0.02])
+    guess = Mounting(wrong, shifted, np.radians(3.0), 0.05)
+    found = solve(replace(whole, mounting=guess), Settings(is_mounting_estimated=True))
+    last = found.estimates[-1]
+    error = np.concatenate(
+        [
+            log(last.state.C_bl.T @ whole.mounting.rotation),
+            whole.mounting.position - last.state.pos_b,
+        ]
+    )
+    assert np.linalg.norm(error[:3]) < np.radians(0.2)
+    assert np.linalg.norm(error[3:]) < 0.02
+    # A map whose points are taken to be where a wrong mounting put them claims 0.01 deg
+    sigma = np.sqrt(np.diag(last.P)[17:23])
+    assert (np.abs(error) < 4.0 * sigma).all()
+    apart = score.score_relative(str(tmp_path), found.relatives())
     assert apart["nees_position"]["mean"] < 3.0
     assert apart["nees_rotation"]["mean"] < 3.0
 
