@@ -84,5 +84,6 @@ def deskew(points: Array, stamp: Array, path: Path, end: State, prior: State) ->
         turn,
         np.ascontiguousarray((pos - end.pos_w) @ to_w.T),
         prior,
-        path.rate_b[-1],
+        # Of the last half, as samples vibrate
+        path.rate_b[len(path.rate_b) // 2 :].mean(axis=0),
     )

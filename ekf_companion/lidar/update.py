@@ -40,8 +40,6 @@ from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_jacobian
 from ekf_companion.nav.so3 import skew
 
-FARTHEST = 6.0
-"""Sigmas in one state beyond which an update is refused: the rows do not fit together."""
 SETTLED = 0.02
 """Share of one sigma in every state below which a step is the last."""
 SEEN = np.arange(12)
@@ -105,9 +103,6 @@ def correct(
         if open_w.shape[1]:
             gained, e = _without(open_w, gained), _without(open_w, e)
         dx = gained - e
-        if (np.abs(e + dx) > FARTHEST * L).any():
-            # Of rows that do not fit together: their linearisation is not that of where they lead
-            return Update(prior, P, None, iteration)
         after = x.plus(dx)
         is_last = iteration == iterations or bool((np.abs(dx) <= SETTLED * L).all())
         if is_last:
