@@ -19,7 +19,19 @@ from ekf_companion.lidar.motion import Path, Samples, clipped_between, prepare, 
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
 from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, DOWN, EXCESS, POS, POSE, VEL, N, State
+from ekf_companion.lidar.state import (
+    ATT,
+    DELAY,
+    DOWN,
+    EXCESS,
+    MOUNT_ATT,
+    MOUNT_POS,
+    POS,
+    POSE,
+    VEL,
+    N,
+    State,
+)
 from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_state
 from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array, Indices
@@ -99,6 +111,13 @@ class Odometry:
     def finish(self) -> list[Estimate]:
         """Return the estimates of a recording that ended before its start was found."""
         return [] if self._is_started or not self._waiting else self._begin()
+
+    def release(self, mounting: Mounting, settings: Settings) -> None:
+        """Estimate from now on what was not until now: a mounting with these sigmas, a delay."""
+        if settings.is_mounting_estimated:
+            self.P[MOUNT_ATT, MOUNT_ATT] = mounting.rotation_sigma**2 * np.eye(3)
+            self.P[MOUNT_POS, MOUNT_POS] = mounting.position_sigma**2 * np.eye(3)
+        self.P[DELAY, DELAY] = settings.delay_sigma**2
 
     def _begin(self) -> list[Estimate]:
         """Find the start, and take the scans that it was found by."""
