@@ -23,9 +23,10 @@ import numpy as np
 
 from ekf_companion.lidar import loops
 from ekf_companion.lidar.deskew import Deskewed
+from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import POSE, State
-from ekf_companion.lidar.voxel_map import LASERS, Planes, VoxelMap
+from ekf_companion.lidar.voxel_map import LASERS, VoxelMap
 from ekf_companion.nav.arrays import Array, Indices, Mask
 
 GATE = 5.0

@@ -13,15 +13,15 @@ lidar odometry", arXiv 2109.07082 (planes in voxels, with their uncertainty).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cython
 import numpy as np
 from cython.cimports.libc.math import floor, sqrt
 
+from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.nav.arrays import Array, Column, Const, Indices, Table
+from ekf_companion.nav.arrays import Array, Column, Const, Table
 
 _LEAST_POINTS = 6.0
 """Three make a plane; as many again say how thick it is."""
@@ -70,26 +70,6 @@ _ALONG = 21
 _OFFSET = 27
 _SCATTER = 28
 _WIDTH = 29
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Planes:
-    """The planes that points were matched with, one for each of k points."""
-
-    index: Indices
-    """Which of the points."""
-    normal: Array
-    """Shape (k, 3)."""
-    centre: Array
-    """m, shape (k, 3)."""
-    along: Array
-    """Two axes in the plane, times the sigma of its slope along each, shape (k, 2, 3)."""
-    spread: Array
-    """Variance of its offset at its centre, and of the points about it, m^2, shape (k, 2)."""
-    owner: Indices
-    """Anchor that the plane is tied to, shape (k,)."""
-    voxel: Indices
-    """Number of the voxel: the same for points on the same plane, shape (k,)."""
 
 
 class VoxelMap:

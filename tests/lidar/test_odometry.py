@@ -9,13 +9,14 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
+from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Scan
 from ekf_companion.lidar.rows import Shared, _hold
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import lines_of, solve
 from ekf_companion.lidar.state import exp, log
-from ekf_companion.lidar.voxel_map import Planes, VoxelMap
+from ekf_companion.lidar.voxel_map import VoxelMap
 from sim_autopilot.lidar.record import simulate
 from sim_autopilot.lidar.write import write_sequence
 from tests.paths import DATA
