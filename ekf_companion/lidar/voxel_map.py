@@ -5,7 +5,8 @@ that a wall on the face of one is inside another. A voxel keeps the sums of its 
 lie on a plane, it has the plane with the covariance that their noise leaves to it. Voxels belong to
 the anchor (a part of the map that was put in over one second) that most of their points are of.
 
-Compiled, as it looks at every point; the same file runs as plain Python.
+Compiled, as it looks at every point; the same file runs as plain Python. It is longer than others
+so that the compiler sees the whole of the loop over points.
 
 Source: Yuan et al. 2022, "Efficient and probabilistic adaptive voxel mapping for accurate online
 lidar odometry", arXiv 2109.07082 (planes in voxels, with their uncertainty).
