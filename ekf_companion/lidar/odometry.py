@@ -220,8 +220,7 @@ class Odometry:
         """Put the points of a scan into the part of the map that is being made."""
         if self.settings.anchors == 0:
             self._forget_far()
-            var = noise_of_points(scan.points, self.settings)
-            self.map.insert(scan.placed(self.x)[1], var, 0)
+            self._put(scan, 0)
             return
         if not self.anchors or stamp - self.anchors[-1].stamp > self.settings.spacing - 0.01:
             self._begin_anchor(stamp)
@@ -235,8 +234,12 @@ class Odometry:
         at = slice(first(k), first(k + 1))
         self.P[at] += share * (T @ self.P[:N] - self.P[at])
         self.P[:, at] += share * (self.P[:, :N] @ T.T - self.P[:, at])
-        var = noise_of_points(scan.points, self.settings)
-        self.map.insert(scan.placed(self.x)[1], var, self.anchors[k].number)
+        self._put(scan, self.anchors[k].number)
+
+    def _put(self, scan: Deskewed, owner: int) -> None:
+        """Put the points of a scan into the map where the state says they are."""
+        variance = noise_of_points(scan.points, self.settings)
+        self.map.insert(scan.placed(self.x)[1], variance, owner)
 
     def _begin_anchor(self, stamp: float) -> None:
         """Begin another part of the map, whose error is not that of the ones before."""

@@ -13,14 +13,7 @@ import numpy as np
 from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import (
-    ATT,
-    POS,
-    VEL,
-    N,
-    exp,
-    log,
-)
+from ekf_companion.lidar.state import ATT, POS, VEL, N, exp, log
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 

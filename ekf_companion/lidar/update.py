@@ -201,11 +201,9 @@ def moved_to(lever_w: Array) -> Array:
 
     Levers have the shape (g, 3); returned are (g, 6, 6).
     """
-    T = np.zeros((len(lever_w), POSE, POSE))
-    T[:] = np.eye(POSE)
-    x, y, z = lever_w.T
-    T[:, 0, 4], T[:, 0, 5], T[:, 1, 5] = z, -y, x
-    T[:, 1, 3], T[:, 2, 3], T[:, 2, 4] = -z, y, -x
+    T = np.tile(np.eye(POSE), (len(lever_w), 1, 1))
+    # Rows lever x e: minus the matrix of the cross product
+    T[:, :3, 3:] = np.cross(lever_w[:, None], np.eye(3))
     return T
 
 
