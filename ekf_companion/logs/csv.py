@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import csv_known, series
+from ekf_companion.logs import clock_run, csv_known
 from ekf_companion.logs.csv_columns import (
     OPTIONS,
     QUANTITIES,
@@ -176,7 +176,7 @@ class _Clock:
             largest = float(np.abs(time[self._is_time(time)]).max(initial=largest))
         # Where the float's last digit is coarser than 1 ns, the file holds microseconds
         self._step = 1000 if np.spacing(largest) * self._per_unit > 1.0 else 1
-        self._ranges = series.clock_run_of_parts(t_ns for _, t_ns in self._stamps())[0]
+        self._ranges = clock_run.of_parts(t_ns for _, t_ns in self._stamps())[0]
         if not self._ranges:
             raise LogError(f"{path}: no row with a time; the file ends after its header")
 
@@ -196,7 +196,7 @@ class _Clock:
         """Return notes on rows that were dropped."""
         why = "without a time, or with one that does not fit the rest"
         parts = (t_ns for _, t_ns in self._stamps()) if self.lost else ()
-        zeros = series.zeros_off(parts, self._holds)
+        zeros = clock_run.zeros_off(parts, self._holds)
         yield from misfits(self.lost, len(self._rows), why, zeros)
 
     def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
@@ -214,10 +214,12 @@ class _Clock:
 
     def _holds(self, first: int, t_ns: Stamps) -> Mask:
         """Return which timed rows of a part are on the run, by the number of the first."""
-        return series.in_ranges(self._ranges, first, len(t_ns))
+        return clock_run.in_ranges(self._ranges, first, len(t_ns))
 
     def _stamps(self) -> Iterator[tuple[Mask, Stamps]]:
         """Yield, part by part, which rows have a time, and the times, ns, of those that do."""
+        is_count = self._per_unit in (1000, 1_000_000)  # of us or ms: it may have 32 bits
+        unwinder = clock_run.Unwinder(self._per_unit) if is_count else None
         for part in self._times.blocks(AT_ONCE):
             is_time = self._is_time(part[:, 0])
             time = part[is_time, 0]
@@ -225,7 +227,8 @@ class _Clock:
             whole = np.floor(time)
             t_ns = whole.astype(np.int64) * self._per_unit
             parts = np.rint((time - whole) * (self._per_unit / self._step))
-            yield is_time, t_ns + parts.astype(np.int64) * self._step
+            t_ns += parts.astype(np.int64) * self._step
+            yield is_time, unwinder.take(t_ns) if unwinder else t_ns
 
     def _is_time(self, time: Array) -> Mask:
         return np.asarray(np.abs(time) < 9e18 / self._per_unit)

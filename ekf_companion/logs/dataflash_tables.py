@@ -11,10 +11,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ekf_companion.logs import aids, dataflash_instances, dataflash_old, dataflash_sensors, series
+from ekf_companion.logs import (
+    aids,
+    clock_run,
+    dataflash_instances,
+    dataflash_old,
+    dataflash_sensors,
+)
+from ekf_companion.logs.clock_run import Extent
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import Tables
-from ekf_companion.logs.series import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Mask, Stamps
 
@@ -72,7 +78,7 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
         for name, table in tables.items()
         if is_stamped(table) and name not in ("PARM", "MSG")
     }
-    runs = series.common_run(stamps, "IMU", apart=("ORGN",))
+    runs = clock_run.common(stamps, "IMU", apart=("ORGN",))
     kept = {
         name: _on_run(table, runs[name]) if name in runs else table
         for name, table in tables.items()
@@ -82,12 +88,12 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
     counts: dict[str, tuple[int, int]] = {
         name: (len(tables[name]), len(kept[name])) for name in sensors
     }
-    notes += series.left_out(runs, counts, lambda name: stamps_of(tables[name]))
-    extent = series.extent(runs, sensors, "IMU")
+    notes += clock_run.left_out(runs, counts, lambda name: stamps_of(tables[name]))
+    extent = clock_run.extent(runs, sensors, "IMU")
     return {name: table for name, table in kept.items() if len(table)}, extent
 
 
-def _on_run(table: StoredRows, run: series.CommonRun) -> StoredRows:
+def _on_run(table: StoredRows, run: clock_run.CommonRun) -> StoredRows:
     def holds(first: int, rows: Column) -> Mask:
         t_ns = boot_ns(rows)
         assert t_ns is not None, "only stamped rows are on a run"

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import series
+from ekf_companion.logs import clock_run, series
 from ekf_companion.logs.source import head_of, suffix_of
 from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_writer import SYSTEM
@@ -39,7 +39,7 @@ def to_trajectory(columns: Mapping[str, npt.NDArray[Any]], name: str = "estimate
     run counts.
     """
     t_ns = np.asarray(columns["time_us"]).astype(np.int64) * 1000
-    kept = series.clock_run(t_ns)[0]
+    kept = clock_run.of_stamps(t_ns)[0]
     kept[kept] = series.ascending(t_ns[kept])
 
     def part(names: Sequence[str]) -> tuple[Stamps, Array]:

@@ -13,12 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series
+from ekf_companion.logs.clock_run import Unwinder, widened
 from ekf_companion.logs.stored_rows import Column
 from ekf_companion.logs.tlog import ORDER, STAMP, Autopilot, Tlog
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Mask, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.stamps import BACK_NS
 from ekf_companion.nav.state import EULER, Trajectory
 
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
@@ -42,19 +44,26 @@ RATES = {**dict.fromkeys(_INERTIAL, 10.0), **dict.fromkeys((*_TRUTH, *_ESTIMATE)
 used."""
 
 
-def _boot_ns(table: Column) -> Stamps:
-    """Return the boot time of a table's rows, ns, the 32-bit millisecond clock unwrapped."""
-    if "time_usec" in (table.dtype.names or ()):
-        return series.nanoseconds(table["time_usec"])
-    milliseconds = table["time_boot_ms"].astype(np.int64)
-    wraps = np.cumsum(np.diff(milliseconds, prepend=milliseconds[:1]) < -(2**31))
-    return (milliseconds + (wraps << 32)) * 1_000_000
+def _boot_ns(table: Column, beside: Column | None = None) -> Stamps:
+    """Return the boot time of a table's rows, ns, also where its counter of 32 bits went round.
+
+    Args:
+        table: Its rows.
+        beside: Rows with milliseconds, if there are any, which tell how often microseconds did.
+    """
+    if "time_usec" not in (table.dtype.names or ()):
+        return Unwinder(1_000_000).take(table["time_boot_ms"].astype(np.int64) * 1_000_000)
+    t_ns = series.nanoseconds(table["time_usec"])
+    if beside is None or not len(beside):
+        return Unwinder(1000).take(t_ns)
+    near = np.minimum(np.searchsorted(beside[ORDER], table[ORDER]), len(beside) - 1)
+    return widened(t_ns, _boot_ns(beside)[near], 1000)
 
 
-def _clock(tables: Sequence[Column]) -> tuple[Stamps, Stamps]:
+def _clock(tables: Sequence[Column], beside: Column | None) -> tuple[Stamps, Stamps]:
     """Return the record numbers of tables, ascending, and the boot time of each, ns."""
     order = np.concatenate([table[ORDER] for table in tables])
-    t_ns = np.concatenate([_boot_ns(table) for table in tables])
+    t_ns = np.concatenate([_boot_ns(table, beside) for table in tables])
     by_order = np.argsort(order)
     return order[by_order], t_ns[by_order]
 
@@ -64,8 +73,8 @@ def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
     clocks = [table for name, table in tables.items() if name in (*_INERTIAL, "ATTITUDE")]
     if not clocks:
         return tables
-    order, t_ns = _clock(clocks)
-    cuts = np.flatnonzero(np.diff(t_ns) < -series.BACK_NS) + 1
+    order, t_ns = _clock(clocks, tables.get("ATTITUDE"))
+    cuts = np.flatnonzero(np.diff(t_ns) < -BACK_NS) + 1
     if len(cuts) == 0:
         return tables
     longest = max(np.split(order, cuts), key=len)
@@ -99,7 +108,7 @@ def _stamps_before(
     found = log.columns(_INERTIAL, *ids, fields=_TIMES, only=each)
     if not found:
         return none
-    known, t_ns = _clock([*found.values()])
+    known, t_ns = _clock([*found.values()], tables.get("ATTITUDE"))
     at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
     is_of_boot = wanted >= min(int(table[ORDER][0]) for table in clocks)
     has_stamp = is_of_boot & (known[at] == wanted)
@@ -112,8 +121,10 @@ def boot_clock(log: Tlog, of: Autopilot) -> tuple[Stamps, Stamps]:
     Two of them are a tenth of a second apart or less; both are empty where no record carries the
     time.
     """
-    tables = [*_tables(log, of, (), {}).values()]
-    return _clock(tables) if tables else (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    tables = _tables(log, of, (), {})
+    if not tables:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    return _clock([*tables.values()], tables.get("ATTITUDE"))
 
 
 def utc_zero_ns(log: Tlog, of: Autopilot) -> int | None:
@@ -130,7 +141,7 @@ def utc_zero_ns(log: Tlog, of: Autopilot) -> int | None:
         return None
     table = found[names[0]]
     t_ns = _boot_ns(table)
-    if (np.diff(t_ns) < -series.BACK_NS).any():
+    if (np.diff(t_ns) < -BACK_NS).any():
         return None
     return int(np.median(table[STAMP].astype(np.int64) * 1000 - t_ns))
 

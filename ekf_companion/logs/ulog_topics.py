@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.logs import aids, series, ulog_instances, ulog_messages
-from ekf_companion.logs.series import Extent
+from ekf_companion.logs import aids, clock_run, series, ulog_instances, ulog_messages
+from ekf_companion.logs.clock_run import Extent
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.nav import so3
@@ -103,15 +103,15 @@ def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
     for name in ulog_instances.ASKED:
         found.pop(name, None)
     stamps = {name: stamps_of(rows) for name, rows in found.items()}
-    runs = series.common_run(stamps, "sensor_combined")
+    runs = clock_run.common(stamps, "sensor_combined")
     kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}
     counts = {name: (len(rows), len(kept[name])) for name, rows in found.items()}
-    notes += series.left_out(runs, counts, lambda name: stamps_of(found[name]))
-    extent = series.extent(runs, [name for name in _SENSORS if name in found], "sensor_combined")
+    notes += clock_run.left_out(runs, counts, lambda name: stamps_of(found[name]))
+    extent = clock_run.extent(runs, [name for name in _SENSORS if name in found], "sensor_combined")
     return {name: rows for name, rows in kept.items() if len(rows)}, extent
 
 
-def _on_run(rows: StoredRows, run: series.CommonRun) -> StoredRows:
+def _on_run(rows: StoredRows, run: clock_run.CommonRun) -> StoredRows:
     return rows.kept(lambda first, some: run.holds(first, series.nanoseconds(some["timestamp"])))
 
 

@@ -30,11 +30,12 @@ from ekf_companion.mavlink.messages import IDS, by_name
 from ekf_companion.mavlink.past_frames import SLACK_US
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import Stamp
-from ekf_companion.mavlink.timebase import LAST_US, NEAR_US, SURE_US, UNIX_FROM_US, TimeBase
+from ekf_companion.mavlink.timebase import LAST_US, SURE_US, UNIX_FROM_US, TimeBase
 from ekf_companion.nav.arrays import Column, Table
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import WIDTH, HeadingSource, Kind, Row
+from ekf_companion.nav.stamps import NEAR_US
 
 FIX_ID = IDS["GPS_RAW_INT"]
 _ROOM = 64

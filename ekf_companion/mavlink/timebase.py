@@ -6,10 +6,11 @@ ArduPilot before 2021): the milliseconds beside them tell how often. The base is
 inertial messages use; what is stamped on the other is moved over by SYSTEM_TIME, which names both.
 
 One stamp far from the others proves nothing: it may be an old packet, or a field that was never
-set. So a leap is held back until a second stamp goes on from it. Forward, it was a gap, which thus
-costs one message. Backward (or to the other base, or by more than an hour), the clock has restarted
-if nothing else is heard for a quarter of a second. What counts as far depends on the rate of the
-stamps: where they come less often than once a second, two of their steps do not.
+set (:mod:`ekf_companion.nav.stamps` has the rule of what is far). So a leap is held back until a
+second stamp goes on from it. Forward, it was a gap, which thus costs one message. Backward (or to
+the other base, or by more than an hour), the clock has restarted if nothing else is heard for a
+quarter of a second. Where stamps come less often than once a second, two of their steps are not
+far.
 
 A stamp that is ahead by more than the stream's steps, and by less than a leap, is used, for packets
 may have been lost before it; but the clock follows only when a second one goes on from it.
@@ -28,30 +29,16 @@ from __future__ import annotations
 from enum import Enum
 
 from ekf_companion.mavlink.stamp import Stamp
+from ekf_companion.nav.stamps import AHEAD_US, GAP_US, LONG_US, NEAR_US, SHORT, goes_on, rounds
 
 UNIX_FROM_US = 1_234_567_890_000_000
 """A stamp above is unix time; the bound that PX4 and MAVROS use (a day in 2009)."""
 LAST_US = 4_000_000_000_000_000
 """The year 2096: what is stamped later holds no time."""
-WRAP_US = (1 << 32) * 1000
-"""The milliseconds since boot go round."""
-BACK_US = 2_000_000
-"""A clock that goes back by more has restarted; by less, packets may have overtaken each other."""
-SHORT_US = 1 << 32
-"""Microseconds of 32 bits go round."""
 SAME_US = 1_000_000
 """Two relations of unix time to the time since boot that differ by less are the same."""
-NEAR_US = 100_000
-"""A stamp that is further ahead moves the clock only when a second one goes on from it."""
 STEPS = 16
 """Stamps after which a long step is all but forgotten; slow streams come several at a time."""
-AHEAD_US = 1_000_000
-"""After a silence of the link of up to so long the next stamp is believed."""
-LONG_US = 10_000_000
-"""Another stamp confirms one that is held back if it is no further away; at no rate is a longer
-step believed at once."""
-GAP_US = 3_600_000_000
-"""A leap of more than an hour is another clock, not a gap."""
 SURE_US = 250_000
 """Only the new clock must be heard for so long: an old packet is followed by others."""
 PACE_US = SURE_US // 2
@@ -115,19 +102,19 @@ class Count:
         step = stamp_us - self.latest_us
         near = max(NEAR_US, min(2 * self.step_us, LONG_US))
         is_of_leap = self.leap_us is not None and 0 <= stamp_us - self.leap_end_us <= NEAR_US
-        is_late = -BACK_US <= step < 0 and not is_of_leap
-        if is_late or 0 <= step <= near or (step > near and self._is_confirmed(stamp_us)):
+        is_next = goes_on(step, near) and not (step < 0 and is_of_leap)
+        if is_next or (step > near and self._is_confirmed(stamp_us)):
             self.leap_us = None
             return self._follow(stamp_us, step, now_us)
         if near < step <= AHEAD_US:
             self.leap_us, self.doubt_us, self.is_doubtful = None, stamp_us, True
             return Step.FOLLOWED
-        if self.leap_us is None or not -BACK_US <= stamp_us - self.leap_us <= LONG_US:
+        if self.leap_us is None or not goes_on(stamp_us - self.leap_us, LONG_US):
             self.leap_us = self.leap_end_us = stamp_us
             self.leap_at_us = now_us
             return Step.HELD
         self.leap_end_us = stamp_us
-        is_gap = 0 < step <= GAP_US
+        is_gap = step > 0 and goes_on(step, GAP_US)
         step = stamp_us - self.leap_us
         if step < (1 if is_gap else SURE_US):
             return Step.HELD
@@ -293,11 +280,9 @@ class TimeBase:
         reference = self._boot_us
         if reference is None:
             reference = self.main.latest_us
-        if reference is None or stamp_us >= SHORT_US or reference > UNIX_FROM_US:
+        if reference is None or stamp_us >= SHORT or reference > UNIX_FROM_US:
             return stamp_us
-        wraps = (reference - stamp_us + SHORT_US // 2) // SHORT_US
-        wide = stamp_us + wraps * SHORT_US
-        return wide if abs(wide - reference) <= LONG_US else stamp_us
+        return stamp_us + SHORT * int(rounds(stamp_us, reference, SHORT, LONG_US))
 
     def relate(self, unix_us: Stamp, boot_ms: Stamp) -> Step:
         """Advance by a SYSTEM_TIME, and learn how its two clocks are related (unix 0: unknown)."""
@@ -342,15 +327,15 @@ def _unwrapped(boot_ms: Stamp, latest_us: int | None) -> Stamp:
     if latest_us is None:
         return boot_ms * 1000
     latest_ms = latest_us // 1000
-    wrap_ms = WRAP_US // 1000
-    step_ms = (boot_ms - latest_ms + wrap_ms // 2) % wrap_ms - wrap_ms // 2
-    is_across = (latest_ms + step_ms) // wrap_ms != latest_ms // wrap_ms
-    if step_ms * 1000 < -BACK_US or (is_across and step_ms * 1000 > GAP_US):
+    step_ms = (boot_ms - latest_ms + SHORT // 2) % SHORT - SHORT // 2
+    is_across = (latest_ms + step_ms) // SHORT != latest_ms // SHORT
+    if not goes_on(step_ms * 1000, GAP_US if is_across else SHORT * 1000):
         return boot_ms * 1000
     return max(latest_ms + step_ms, 0) * 1000
 
 
 def _agrees(boot_ms: Stamp, stamp_us: Stamp) -> bool:
     """Whether milliseconds fit a clock in microseconds, after any number of wraps."""
-    away = (boot_ms * 1000 - stamp_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
+    wrap_us = SHORT * 1000
+    away = (boot_ms * 1000 - stamp_us + wrap_us // 2) % wrap_us - wrap_us // 2
     return abs(away) <= LONG_US

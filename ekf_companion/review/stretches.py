@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ekf_companion.logs.series import BACK_NS
 from ekf_companion.nav.arrays import Indices, Stamps
 from ekf_companion.nav.measurements import Events, is_reboot
+from ekf_companion.nav.stamps import BACK_NS
 
 PAUSE_NS = 10_000_000_000
 """Between two stretches that are drawn one after another."""

@@ -204,18 +204,25 @@ def test_of_a_frequent_message_every_so_manieth_of_the_vehicles_own_is_enough(wr
     assert set(np.diff(found).tolist()) == {4 * 27}
 
 
-def test_the_boot_clock_is_unwrapped(written):
-    near = 2**32 - 400
-    heartbeats = small_log(n=1)[:2]
+@pytest.mark.parametrize("first_ms", [100_000, 4_293_000, 4_400_000, 2**32 - 1000])
+@pytest.mark.parametrize("has_samples", [True, False])
+def test_counters_of_32_bits_that_go_round_are_of_one_boot(written, first_ms, has_samples):
+    """Milliseconds, and beside them the microseconds of ArduPilot before 2021."""
     mav = second.MAVLink(None, srcSystem=1, srcComponent=1)
-    attitudes = [
-        record(START_US, mav.attitude_encode((near + 20 * i) % 2**32, 0, 0, 0, 0, 0, 0).pack(mav))
-        for i in range(40)
-    ]
-    log = tlog.read(written(b"".join(heartbeats + attitudes)))
+    records = small_log(n=1)[:2]
+    for ms in range(first_ms, first_ms + 4000, 20):
+        since_us = START_US + 1000 * (ms - first_ms)
+        records.append(
+            record(since_us, mav.attitude_encode(ms % 2**32, 0, 0, 0, 0, 0, 0).pack(mav))
+        )
+        if has_samples:
+            raw = mav.raw_imu_encode(ms * 1000 % 2**32, 1, 2, -1000, 0, 0, 0, 0, 0, 0)
+            records.append(record(since_us, raw.pack(mav)))
+    log = tlog.read(written(b"".join(records)))
     t_ns = log_source.reference(log).att_t_ns
-    assert len(t_ns) == 40
-    assert np.all(np.diff(t_ns) == 20_000_000)
+    assert len(t_ns) == 100  # of 200, at 25 Hz
+    assert t_ns[0] == first_ms * 1_000_000
+    assert np.all(np.diff(t_ns) == 40_000_000)
 
 
 @pytest.mark.parametrize(

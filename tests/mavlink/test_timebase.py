@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.mavlink.timebase import GAP_US, LAST_US, SURE_US, UNIX_FROM_US, Step, TimeBase
+from ekf_companion.mavlink.timebase import LAST_US, SURE_US, UNIX_FROM_US, Step, TimeBase
+from ekf_companion.nav.stamps import GAP_US
 
 UNIX_US = 1_700_000_000_000_000
 WRAP_MS = 1 << 32

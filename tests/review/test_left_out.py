@@ -118,6 +118,22 @@ def test_a_row_with_stamp_0_costs_itself_and_no_row_before_it(rows, kind, table,
     assert worst(found.distance, found, 20.0) < 1.5
 
 
+def test_a_counter_of_32_bits_that_goes_round_costs_nothing(rows, tmp_path):
+    """It cost half of the flight: a step back by 71.6 minutes was taken for a reboot."""
+    period_ns = 1000 * (1 << 32)
+    stamps = [rows.imu_ns, rows.fix_ns, rows.mag_ns, rows.baro_ns]
+    for one in stamps:
+        one += period_ns - BOOT_NS - 30 * 10**9
+    whole = convert(rows, "csv", tmp_path)
+    for one in stamps:
+        one %= period_ns
+    found = convert(rows, "csv", tmp_path)
+    assert found.notes == whole.notes
+    assert np.array_equal(found.table.stamp_ns, whole.table.stamp_ns)
+    latitudes = [one.table.column("lat_deg") for one in (found, whole)]
+    assert np.array_equal(*latitudes, equal_nan=True)
+
+
 @in_every_format
 def test_stamps_that_have_lost_digits_are_named(rows, kind, tmp_path):
     rows.imu_ns = rows.imu_ns // 500_000_000 * 500_000_000
