@@ -146,45 +146,36 @@ class HeldVelocities:
             why_h = self.horizontal.judge(t_ns, pos, (north, east), std_h)
         if down is not None:
             why_v = self.vertical.judge(t_ns, (alt,), (-down,), std_v)
-        if self._is_repeated(place, vel):
-            why_h = why_h or REPEATED
-            if down is not None and down == self._vel[2]:
-                why_v = why_v or REPEATED
-        if self._is_course_held(vel):
-            why_h = why_h or COURSE_HELD
+        why = self._find_hold(place, vel)
+        if why == REPEATED and down is not None and down == self._vel[2]:
+            why_v = why_v or why
         self._place, self._vel = place, vel
-        return why_h, why_v
+        return why_h or why, why_v
 
-    def _is_repeated(
+    def _find_hold(
         self,
         place: tuple[float, float, float],
         vel: tuple[float | None, float | None, float | None],
-    ) -> bool:
-        """Return whether a velocity of motion equals the last one at a new position.
+    ) -> str | None:
+        """Return whether a velocity of motion, or its course, is the last one to the bit.
 
-        A receiver that has only ever sent one velocity is judged by its positions instead.
+        At a new position: a receiver repeats its last fix too. One that has only ever sent one
+        velocity is judged by its positions instead.
         """
-        north, east, _ = vel
-        if north is None or east is None or vel[:2] != self._vel[:2]:
-            self._repeats = 0
-            return False
-        if place == self._place:
-            return False
-        self._repeats += 1
-        is_motion = self.horizontal.number > 1 and math.hypot(north, east) > MOVING
-        return is_motion and self._repeats >= TWICE
-
-    def _is_course_held(self, vel: tuple[float | None, float | None, float | None]) -> bool:
-        """Return whether a velocity of motion points to where the last ones did, to the bit."""
         (north, east, _), (last_north, last_east, _) = vel, self._vel
         if north is None or east is None or last_north is None or last_east is None:
-            self._courses = 0
-            return False
-        if vel[:2] == self._vel[:2]:
-            return False
+            self._repeats = self._courses = 0
+            return None
         speed, last = math.hypot(north, east), math.hypot(last_north, last_east)
+        if vel[:2] == self._vel[:2]:
+            if place == self._place:
+                return None
+            self._repeats += 1
+            is_motion = self.horizontal.number > 1 and speed > MOVING
+            return REPEATED if is_motion and self._repeats >= TWICE else None
+        self._repeats = 0
         across = abs(north * last_east - east * last_north)
         along = north * last_north + east * last_east
         is_same = along > 0.0 and across <= SAME_COURSE * speed * last
         self._courses = self._courses + 1 if is_same else 0
-        return self._courses >= TWICE and MOVING < speed < SLOW
+        return COURSE_HELD if self._courses >= TWICE and MOVING < speed < SLOW else None
