@@ -102,7 +102,7 @@ class Count:
         step = stamp_us - self.latest_us
         near = max(NEAR_US, min(2 * self.step_us, LONG_US))
         is_of_leap = self.leap_us is not None and 0 <= stamp_us - self.leap_end_us <= NEAR_US
-        is_next = goes_on(step, near) and not (step < 0 and is_of_leap)
+        is_next = 0 <= step <= near or (goes_on(step, near) and not is_of_leap)
         if is_next or (step > near and self._is_confirmed(stamp_us)):
             self.leap_us = None
             return self._follow(stamp_us, step, now_us)
@@ -329,7 +329,7 @@ def _unwrapped(boot_ms: Stamp, latest_us: int | None) -> Stamp:
     latest_ms = latest_us // 1000
     step_ms = (boot_ms - latest_ms + SHORT // 2) % SHORT - SHORT // 2
     is_across = (latest_ms + step_ms) // SHORT != latest_ms // SHORT
-    if not goes_on(step_ms * 1000, GAP_US if is_across else SHORT * 1000):
+    if (step_ms < 0 or is_across) and not goes_on(step_ms * 1000, GAP_US):
         return boot_ms * 1000
     return max(latest_ms + step_ms, 0) * 1000
 
