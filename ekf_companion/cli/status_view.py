@@ -95,9 +95,13 @@ def _peer(peer: Data | None) -> str:
     text = f"system {peer['system_id']}, component {peer['component_id']}, {peer['family']}"
     text += f" {peer['version']}" if peer["version"] else ""
     text += ", armed" if peer["is_armed"] else ", disarmed"
-    text += f", rebooted {peer['reboots']} times" if peer["reboots"] else ""
+    text += f", rebooted {_times(peer['reboots'])}" if peer["reboots"] else ""
     silent = f", silent for {_number(peer['silent_s'], 's', 1)}"
     return text if peer["is_heard"] else text + silent
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _inertial(imu: Data) -> str:
@@ -123,7 +127,8 @@ def _estimate(data: Data) -> str:
     text += f", sigma {horizontal} and {_number(estimator['std_vertical'], 'm', 2)}"
     text += ", receiver 2 in use" if estimator["receiver"] else ""
     text += f", newest sample {_number(data['sample_age_s'], 's', 2)} ago"
-    text += f", {estimator['samples']} samples, {estimator['gaps']} gaps"
+    text += f", {estimator['samples']} samples"
+    text += f", {estimator['gaps']} gap{'' if estimator['gaps'] == 1 else 's'}"
     text = _with_losses(text, {f"resets for {reason}": n for reason, n in data["resets"].items()})
     return text + _reasons(data["seconds"])
 
@@ -163,7 +168,7 @@ def _settings(data: Data) -> str:
     """Return the settings that differ from the file read at the start."""
     changes = [f"{key} {value} over MAVLink" for key, value in data["tuned"].items()]
     if (reload := data["reload"])["count"]:
-        changes.append(f"reloaded {reload['count']} times, last: {reload['words']}")
+        changes.append(f"reloaded {_times(reload['count'])}, last: {reload['words']}")
     return "; ".join(changes)
 
 

@@ -9,6 +9,7 @@ from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.doctor.evidence import Evidence
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.health import Aid, Health, Verdict
+from ekf_companion.logs.recording import counted
 from ekf_companion.nav.state import Status
 
 _MANY = 0.05
@@ -50,15 +51,15 @@ def estimate(evidence: Evidence) -> StageResult:
         saw += f", position to {health.std_horizontal:.1f} m"
     problems = [_status(health), *_aids(health)]
     if health.resets:
-        saw += f", {health.resets} resets (the last: {health.reset_reason})"
+        saw += f", {counted(health.resets, 'reset')} (the last: {health.reset_reason})"
         jump = warning(
-            f"The estimate jumped on purpose {health.resets} times; the last: "
-            f"{health.reset_reason}.",
+            f"The estimate was reset {'once' if health.resets == 1 else f'{health.resets} times'}; "
+            f"the last: {health.reset_reason}.",
             _RESETS.get(health.reset_reason, "Look at the aids that were refused before it."),
         )
         problems.append(jump)
     if health.gaps:
-        saw += f", {health.gaps} gaps"
+        saw += f", {counted(health.gaps, 'gap')}"
     return judged(Stage.ESTIMATE, saw, problems)
 
 

@@ -12,7 +12,7 @@ from ekf_companion.logs import csv_known
 from ekf_companion.logs.csv_columns import map_beside
 from ekf_companion.logs.estimate import OWN, is_written
 from ekf_companion.logs.recording import counted
-from ekf_companion.logs.source import real_path, suffix_of
+from ekf_companion.logs.source import header_of, real_path, suffix_of
 
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv")
 """Kinds of logs that are looked for in folders."""
@@ -103,12 +103,9 @@ def _why_not(path: Path) -> str:
         return f"none of {', '.join(SUFFIXES)}"
     if is_written(path):
         return OWN
-    if path.suffix.lower() != ".csv" or map_beside(path) is not None:
+    if suffix_of(path) != ".csv" or map_beside(path) is not None:
         return ""
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            names = [name.strip() for name in file.readline(1 << 16).split(",")]
-    except OSError:
+    if not (names := header_of(path)):
         return ""  # it may be one, and its row says why it cannot be read
     if any(name.startswith("gyro_x") for name in names) or csv_known.find(names) is not None:
         return ""

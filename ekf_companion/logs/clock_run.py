@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_companion.logs.recording import misfits
+from ekf_companion.logs.recording import Damage, counted, dropped, misfits
 from ekf_companion.nav.arrays import Indices, Mask, Stamps
 from ekf_companion.nav.stamps import BACK_NS, BACK_US, GAP_US, LONG_US, SHORT, goes_on, rounds
 
@@ -119,6 +119,7 @@ def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
         cuts = np.append(0, np.flatnonzero(~follows) + 1)
         return [int(one) for one in np.repeat(cuts, np.diff(np.append(cuts, len(low))))]
     group: list[int] = []
+    weight = rows.tolist()  # rows of each group
     for here, begin in enumerate(low_us.tolist()):
         best, between = -1, 0
         for place in range(here - 1, max(here - 1 - MOST_APART, -1), -1):
@@ -131,9 +132,18 @@ def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
             between += int(rows[place])
             if between > few:
                 break
-        group.append(here if best < 0 else group[best])
         if best >= 0:
-            group[best + 1 : here] = range(best + 1, here)
+            # What is between is the damage, if it is the lighter one
+            others = set(group[best + 1 :]) - {group[best]}
+            best = best if sum(weight[one] for one in others) <= weight[group[best]] else -1
+        if best < 0:
+            group.append(here)
+            continue
+        group.append(group[best])
+        weight[group[best]] += weight[here]
+        for place in range(best + 1, here):
+            weight[group[place]] -= int(rows[place])
+            group[place], weight[place] = place, int(rows[place])
     return group
 
 
@@ -160,14 +170,25 @@ def _joined(ranges: Ranges) -> Ranges:
 
 
 def _heaviest_chain(low: Stamps, high: Stamps, rows: Stamps) -> list[int]:
-    """Return the chain of stretches with most rows in which each begins after the one before."""
+    """Return the chain of stretches with most rows in which each begins after the one before.
+
+    One that goes on from the stretch just before it in the file is of the same boot. It follows an
+    earlier one only at once, or if those between, whose stamps are wrong alike, took the time.
+    """
     # At most 1 / FEW stretches, so the square is small.
     weight = [int(count) for count in rows]
     before = [-1] * len(weight)
+    low_us, high_us = low // 1000, high // 1000
+    spent_us = np.cumsum(high_us - low_us)
     for here in range(len(weight)):
+        is_of_last = here > 0 and goes_on(low_us[here] - high_us[here - 1], GAP_US)
         for there in range(here):
-            is_later = low[here] >= high[there] - BACK_NS
-            if is_later and weight[there] + int(rows[here]) > weight[here]:
+            step_us = low_us[here] - high_us[there]
+            skipped_us = spent_us[here - 1] - spent_us[there]
+            is_near = abs(step_us - skipped_us) <= BACK_US or step_us <= BACK_US
+            if step_us < -BACK_US or (is_of_last and there < here - 1 and not is_near):
+                continue
+            if weight[there] + int(rows[here]) > weight[here]:
                 weight[here], before[here] = weight[there] + int(rows[here]), there
     chain, here = [], int(np.argmax(weight))
     while here >= 0:
@@ -245,8 +266,8 @@ def left_out(
     runs: Mapping[str, CommonRun],
     rows: Mapping[str, tuple[int, int]],
     stamps: Callable[[str], Iterable[Stamps]],
-) -> list[str]:
-    """Return notes on rows that are not used because of their stamps.
+) -> tuple[list[str], Damage]:
+    """Return notes on rows that are not used because of their stamps, and how many were dropped.
 
     Args:
         runs: Of the tables.
@@ -265,8 +286,10 @@ def left_out(
     words = "whose time stamps do not fit the log's clock"
     found = misfits(lost, whole, words, min(zeros, lost))
     if outside:
-        found.append(f"{outside} rows before or after the inertial samples were left out")
-    return found
+        were = "was" if outside == 1 else "were"
+        words = f"{counted(outside, 'row')} before or after the inertial samples {were} left out"
+        found.append(words)
+    return found, dropped(lost, whole)
 
 
 def zeros_off(parts: Iterable[Stamps], holds: Callable[[int, Stamps], Mask]) -> int:

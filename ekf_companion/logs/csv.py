@@ -52,7 +52,7 @@ from ekf_companion.logs.csv_columns import (
     from_map,
 )
 from ekf_companion.logs.csv_events import Columns, EventMaker
-from ekf_companion.logs.recording import Damage, Recording, misfits
+from ekf_companion.logs.recording import Recording, dropped, misfits
 from ekf_companion.logs.spool import Spool
 from ekf_companion.logs.spooled_events import SpooledEvents
 from ekf_companion.logs.table import AT_ONCE, Table
@@ -118,7 +118,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
         events=events,
         notes=tuple(notes),
         lost_share=lost / max(rows_in_all, 1),
-        damage=Damage(f"{lost} rows dropped", lost / rows_in_all) if lost else Damage(),
+        damage=dropped(lost, rows_in_all),
         zero_height=zero_height,
     )
 

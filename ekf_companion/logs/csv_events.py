@@ -10,6 +10,7 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs import aids, series
 from ekf_companion.logs.csv_columns import DEGREE, GROUPS, Source
+from ekf_companion.logs.recording import counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame, is_place
@@ -67,9 +68,9 @@ class EventMaker:
                 said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
                 notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
             if self._nowhere:
-                notes.append(
-                    f"{self._nowhere} rows of the receiver without a place, as 0, 0, were left out"
-                )
+                were = "was" if self._nowhere == 1 else "were"
+                rows = f"{counted(self._nowhere, 'row')} of the receiver without a place, as 0, 0,"
+                notes.append(f"{rows} {were} left out")
             if "gps" not in self._hold and self._repeated > total / 2:
                 notes.append(
                     f"{self._repeated} of {total} rows repeat the GPS values of the row before: if "

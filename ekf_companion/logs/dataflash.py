@@ -89,7 +89,7 @@ def read(path: Path) -> Recording:
     found, notes, others, damage = read_tables(path, READ)
     said = {name for name, table in found.items() if len(table)} | others
     is_cut = not said - (DEFINITIONS if CUT in damage.words else {"FMT"})
-    stored, extent_ns = choose(found, notes)
+    stored, extent_ns, misfit = choose(found, notes)
     tables = {name: table.all() for name, table in stored.items() if name not in STREAMED}
     turn = _to_vehicle(tables, notes)
 
@@ -142,7 +142,8 @@ def read(path: Path) -> Recording:
         truth=truth(tables),
         gnss_delay=_gnss_delay(tables),
         notes=tuple(notes),
-        damage=damage,
+        damage=damage.beside(misfit),
+        lost_share=misfit.share,
         extent_ns=extent_ns,
         onboard=text_of(tables, message_ns),
         began_s=_began_s(stored, zero_ns),

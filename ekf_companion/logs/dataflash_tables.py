@@ -21,6 +21,7 @@ from ekf_companion.logs import (
 from ekf_companion.logs.clock_run import Extent
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import Tables
+from ekf_companion.logs.recording import Damage
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Mask, Stamps
 
@@ -64,10 +65,11 @@ READ: dict[str, tuple[str, ...] | None] = {
 """Columns that are read of each message; None: all. There are millions of inertial samples."""
 
 
-def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
+def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent, Damage]:
     """Select the usable messages of the sensors in use, on one clock run; note what is left out.
 
-    Also return first and last stamp of the log's sensors, of which the samples may be a part.
+    Also return first and last stamp of the log's sensors, of which the samples may be a part, and
+    how many rows were dropped.
     """
     tables = dataflash_old.with_barometer(tables, notes)
     usable = {name: t for name, t in tables.items() if _is_usable(t, NEEDED[name]) and len(t)}
@@ -88,9 +90,10 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent]:
     counts: dict[str, tuple[int, int]] = {
         name: (len(tables[name]), len(kept[name])) for name in sensors
     }
-    notes += clock_run.left_out(runs, counts, lambda name: stamps_of(tables[name]))
+    left_out, lost = clock_run.left_out(runs, counts, lambda name: stamps_of(tables[name]))
+    notes += left_out
     extent = clock_run.extent(runs, sensors, "IMU")
-    return {name: table for name, table in kept.items() if len(table)}, extent
+    return {name: table for name, table in kept.items() if len(table)}, extent, lost
 
 
 def _on_run(table: StoredRows, run: clock_run.CommonRun) -> StoredRows:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import clock_run, series
-from ekf_companion.logs.source import head_of, suffix_of
+from ekf_companion.logs.source import head_of, header_of, suffix_of
 from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_writer import SYSTEM
 from ekf_companion.nav import so3
@@ -157,14 +157,9 @@ _FEW = 5
 
 def is_estimate(path: Path) -> bool:
     """Return whether a file is an estimate of ours, by its header."""
-    if path.suffix.lower() != ".csv":
+    if suffix_of(path) != ".csv":
         return False
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            header = file.readline().strip().split(",")
-            return header in (COLUMNS, COLUMNS[:-1])  # the last came later
-    except OSError:
-        return False
+    return header_of(path) in (COLUMNS, COLUMNS[:-1])  # the last came later
 
 
 def is_written(path: Path) -> bool:

@@ -44,6 +44,11 @@ class Damage(NamedTuple):
     share: float = 0.0
     """Share of the file, of its records or of its time; 1: not known."""
 
+    def beside(self, other: Damage) -> Damage:
+        """Return what one and another are together."""
+        words = ", ".join(one for one in (self.words, other.words) if one)
+        return Damage(words, max(self.share, other.share))
+
 
 UNDAMAGED = Damage()
 
@@ -64,7 +69,13 @@ def misfits(lost: int, total: int, words: str, zeros: int = 0) -> list[str]:
         "run each recording by itself"
     )
     words += f" ({zeros} of them 0)" if zeros else ""
-    return [f"{lost} rows {words} were dropped{why if lost > OFTEN * total else ''}"]
+    were = "was" if lost == 1 else "were"
+    return [f"{counted(lost, 'row')} {words} {were} dropped{why if lost > OFTEN * total else ''}"]
+
+
+def dropped(lost: int, total: int) -> Damage:
+    """Return how many of all rows were dropped because of their stamps."""
+    return Damage(f"{counted(lost, 'row')} dropped", lost / total) if lost else UNDAMAGED
 
 
 def damaged_places(count: int) -> str:

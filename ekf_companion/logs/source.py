@@ -68,6 +68,12 @@ def head_of(path: Path, size: int) -> bytes:
         return b""  # its reader says why
 
 
+def header_of(path: Path) -> list[str]:
+    """Return the names in the first line of a table, packed or not; none if it cannot be read."""
+    line = head_of(path, 1 << 16).partition(b"\n")[0].decode(errors="replace")
+    return [name.strip() for name in line.split(",")] if line else []
+
+
 class MappedFile:
     """All bytes of a file; a large one is mapped, and only in memory where it is being read.
 

@@ -94,7 +94,7 @@ def read(path: Path) -> Recording:
         count = len(log.dropouts)
         dropouts = counted(count, "dropout")
         notes.append(f"{dropouts}, {lost:.1f} s in all, while the log was written")
-    stored, extent_ns = choose(log, notes)
+    stored, extent_ns, misfit = choose(log, notes)
     topics = {name: columns_of(rows.all()) for name, rows in stored.items() if name not in STREAMED}
     gnss_delay, is_taken_off = _gnss_delay(log, _receiver(topics))
     if is_taken_off:
@@ -143,7 +143,8 @@ def read(path: Path) -> Recording:
         truth=_trajectory(topics, "_groundtruth", "simulator"),
         gnss_delay=gnss_delay,
         notes=tuple(notes),
-        damage=_damage(log, stored),
+        damage=_damage(log, stored).beside(misfit),
+        lost_share=misfit.share,
         extent_ns=extent_ns,
         onboard=log.onboard(),
         began_s=_began_s(stored, zero_ns),

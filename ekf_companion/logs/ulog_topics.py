@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ekf_companion.logs import aids, clock_run, series, ulog_instances, ulog_messages
 from ekf_companion.logs.clock_run import Extent
+from ekf_companion.logs.recording import Damage
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.nav import so3
@@ -81,12 +82,12 @@ def load(path: Path) -> Messages:
     return ulog_messages.read(path, _TOPICS, UNUSED)
 
 
-def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
+def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent, Damage]:
     """Return each topic's rows that have the fields needed, on one clock run.
 
     They are those of the sensors in use, otherwise of the first instance. Rows whose stamps are
     damaged, or of another boot, are dropped. Also return first and last stamp of the log's sensors,
-    of which the samples may be a part.
+    of which the samples may be a part, and how many rows were dropped.
     """
     usable = [
         table
@@ -106,9 +107,10 @@ def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent]:
     runs = clock_run.common(stamps, "sensor_combined")
     kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}
     counts = {name: (len(rows), len(kept[name])) for name, rows in found.items()}
-    notes += clock_run.left_out(runs, counts, lambda name: stamps_of(found[name]))
+    left_out, lost = clock_run.left_out(runs, counts, lambda name: stamps_of(found[name]))
+    notes += left_out
     extent = clock_run.extent(runs, [name for name in _SENSORS if name in found], "sensor_combined")
-    return {name: rows for name, rows in kept.items() if len(rows)}, extent
+    return {name: rows for name, rows in kept.items() if len(rows)}, extent, lost
 
 
 def _on_run(rows: StoredRows, run: clock_run.CommonRun) -> StoredRows:

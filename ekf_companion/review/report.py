@@ -12,7 +12,7 @@ import numpy as np
 
 from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health, Verdict
 from ekf_companion.errors import LogError
-from ekf_companion.logs.recording import UNDAMAGED, Damage
+from ekf_companion.logs.recording import UNDAMAGED, Damage, counted
 from ekf_companion.nav.arrays import median
 from ekf_companion.nav.measurements import Events, Kind, is_derived, is_reboot, of_receiver
 from ekf_companion.nav.reason import (
@@ -185,7 +185,7 @@ def note_shortcomings(report: Report, path: Path) -> None:
         )
     if report.health and (strays := report.health.arrivals[Kind.IMU][Arrival.STRAY]):
         report.notes.append(
-            f"{strays} inertial samples are stamped ahead of those after them, and were not used"
+            f"{counted(strays, 'inertial sample')} not used: stamped ahead of those after"
         )
     rate = report.rates.get(Kind.IMU, 0.0)
     if report.stamps.note:

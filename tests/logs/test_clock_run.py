@@ -86,6 +86,23 @@ def test_rows_that_are_wrong_alike_cost_themselves(rows, by_s):
     assert np.flatnonzero(~mask).tolist() == [*range(15_000, 15_000 + rows)]
 
 
+@pytest.mark.parametrize("each", [2, 5, 50, 400])
+@pytest.mark.parametrize("by_s", [-100, 30, 10**6])
+def test_rows_that_are_wrong_alike_again_and_again_cost_themselves(each, by_s):
+    """They cost 95 of 100 right ones: each of them went on from the last, over the right ones."""
+    t_ns = STEADY + 200 * SECOND
+    t_ns[1000::each] += by_s * SECOND
+    mask, _ = clock_run.of_stamps(t_ns)
+    assert np.flatnonzero(~mask).tolist() == [*range(1000, len(t_ns), each)]
+
+
+def test_of_two_boots_with_silences_no_mixture_is_read():
+    first = np.concatenate([STEADY[:2000], STEADY[:1000] + 40 * SECOND])
+    second = np.concatenate([STEADY[:600], STEADY[:2000] + 70 * SECOND])
+    mask, _ = clock_run.of_stamps(np.concatenate([first, second]))
+    assert np.flatnonzero(mask).tolist() == [*range(3000)]
+
+
 @pytest.mark.parametrize("period", [15, 45, 600])
 def test_rows_that_come_seldom_are_all_of_the_run(period):
     mask, spans = clock_run.of_stamps(np.arange(1, 300, dtype=np.int64) * period * SECOND)

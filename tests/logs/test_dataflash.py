@@ -172,7 +172,7 @@ def test_a_row_whose_type_was_damaged_is_not_taken_for_a_shorter_one(tmp_path):
 @pytest.mark.parametrize(
     ("begin_us", "damaged", "note"),
     [
-        (0, {500: 2**60}, "1 rows whose time stamps do not fit the log's clock were dropped"),
+        (0, {500: 2**60}, "1 row whose time stamps do not fit the log's clock was dropped"),
         (
             30_000_000,
             {400: 2**60, 500: 0, 600: 0},

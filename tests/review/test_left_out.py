@@ -118,6 +118,19 @@ def test_a_row_with_stamp_0_costs_itself_and_no_row_before_it(rows, kind, table,
     assert worst(found.distance, found, 20.0) < 1.5
 
 
+@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize(
+    ("count", "words"), [(1, "good: no resets, 1 row"), (150, "fair: 150 rows")]
+)
+def test_rows_that_are_dropped_for_their_stamps_are_named_in_the_verdict(
+    rows, kind, count, words, tmp_path
+):
+    """Of a .csv alone; the same flight as .bin or .ulg was good with thousands dropped."""
+    rows.imu_ns[1000 : 1000 + 20 * count : 20] += 10**15
+    found = convert(rows, kind, tmp_path)
+    assert verdict(found) == f"{words} dropped"
+
+
 def test_a_counter_of_32_bits_that_goes_round_costs_nothing(rows, tmp_path):
     """It cost half of the flight: a step back by 71.6 minutes was taken for a reboot."""
     period_ns = 1000 * (1 << 32)
