@@ -28,7 +28,7 @@ BOTH := packages are downloaded and the kernel is compiled
 BUILD := $(BIN)/python -W ignore setup.py --quiet build_ext --inplace
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
-	@echo "Setting up $(VENV): $(BOTH), two to four minutes on two cores"
+	@echo "Setting up $(VENV): $(if $(wildcard $(FLYING)),more packages are downloaded,$(BOTH), two to four minutes on two cores)"
 	@$(INSTALL) -e '.[dev]' $(WAITING)
 	@touch $@
 

@@ -50,11 +50,13 @@ def estimate(evidence: Evidence) -> StageResult:
     if math.isfinite(health.std_horizontal):
         saw += f", position to {health.std_horizontal:.1f} m"
     problems = [_status(health), *_aids(health)]
-    if health.resets:
-        saw += f", {counted(health.resets, 'reset')} (the last: {health.reset_reason})"
+    # A reboot is reported already
+    resets = health.resets - (evidence.peer.reboots if evidence.peer else 0)
+    if resets > 0:
+        saw += f", {counted(resets, 'reset')} (the last: {health.reset_reason})"
+        times = "once" if resets == 1 else f"{resets} times"
         jump = warning(
-            f"The estimate was reset {'once' if health.resets == 1 else f'{health.resets} times'}; "
-            f"the last: {health.reset_reason}.",
+            f"The estimate was reset {times}; the last: {health.reset_reason}.",
             _RESETS.get(health.reset_reason, "Look at the aids that were refused before it."),
         )
         problems.append(jump)

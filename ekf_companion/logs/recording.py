@@ -138,6 +138,13 @@ class Recording:
     zero_height: float = 0.0
     """Altitude at which the heights of the file are zero, m, where its position is invented."""
 
+    def __repr__(self) -> str:
+        """Return what is in it, in a line."""
+        others = [f"reference {self.reference}"] if self.reference else []
+        others += [f"truth {self.truth}"] if self.truth else []
+        parts = [self.family, str(self.events), *others, counted(len(self.notes), "note")]
+        return f"<Recording: {'; '.join(parts)}>"
+
 
 def longest_clock_run(events: Events) -> tuple[Events, tuple[str, ...]]:
     """Return the longest part of events without a restart of the clock, and a note on the rest."""

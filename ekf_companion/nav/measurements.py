@@ -275,6 +275,13 @@ class Events:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    def __repr__(self) -> str:
+        """Return how many there are of each kind, and over which time."""
+        counts = zip(*np.unique(self.kind, return_counts=True), strict=True)
+        kinds = [f"{Kind(kind).name.lower()} {count}" for kind, count in counts]
+        seconds = float(np.ptp(self.t_ns)) * 1e-9 if len(self) else 0.0
+        return f"<Events: {len(self)} in {seconds:.1f} s; {', '.join(kinds)}>"
+
     @classmethod
     def from_rows(cls, rows: list[Row]) -> Events:
         """Collect rows in their order."""

@@ -161,6 +161,12 @@ class Trajectory:
     q_nb: Array = field(default_factory=lambda: np.zeros((0, 4)))
     """Shape (k, 4)."""
 
+    def __repr__(self) -> str:
+        """Return its source, and how much it holds."""
+        kinds = ("positions", self.pos_t_ns), ("velocities", self.vel_t_ns)
+        counts = [f"{len(one)} {what}" for what, one in (*kinds, ("attitudes", self.att_t_ns))]
+        return f"<Trajectory {self.name}: {', '.join(counts)}>"
+
 
 ODOMETRY_SIZE = 220
 """Bytes of the 55 numbers of ODOMETRY."""

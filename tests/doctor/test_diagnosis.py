@@ -92,6 +92,16 @@ def test_a_reset_is_told_with_its_reason(well):
     assert "CAL_MAG0_ROT" in words(found)
 
 
+def test_a_reboot_is_no_reset_beside(well):
+    """The verdict of the same log said "resets: 0; reboots: 1"."""
+    rebooted = replace(well, peer=replace(well.peer, reboots=1))
+    again = with_health(rebooted, resets=2, reset_reason="heading against the motion", gaps=1)
+    found = stage(again, "estimate")
+    assert ", 1 reset (the last: heading against the motion), 1 gap" in found.saw
+    assert "The estimate was reset once; the last: " in words(found)
+    assert "reset" not in stage(with_health(rebooted, resets=1), "estimate").saw
+
+
 def test_a_disturbed_field_is_a_warning(well):
     found = stage(with_verdicts(well, Aid.HEADING, FUSED=50, DISTURBED=50), "values")
     assert found.outcome is Outcome.WARNING

@@ -1,6 +1,7 @@
 """Many logs at once: one row each, whatever becomes of the others."""
 
 import csv
+import gzip
 import json
 import os
 import shutil
@@ -249,6 +250,8 @@ def test_why_a_table_is_left_out_is_said_and_no_file_counts_twice(tmp_path):
     (tmp_path / "below").mkdir()
     (tmp_path / "estimate.csv").write_text(f"{','.join(ESTIMATE_COLUMNS)}\n")
     (tmp_path / "below" / "wind.csv").write_text("time_s,wind_mps\n0,1\n")
+    for name in ("estimate.csv", "below/wind.csv"):
+        (tmp_path / f"{name}.gz").write_bytes(gzip.compress((tmp_path / name).read_bytes()))
     (tmp_path / "mine.csv").write_text("time_s,gyro_x_rps\n0,1\n")
     (tmp_path / "odd.csv").write_text("t,p\n0,1\n")
     (tmp_path / "odd.csv.columns.yaml").write_text("time: t\n")
@@ -258,9 +261,11 @@ def test_why_a_table_is_left_out_is_said_and_no_file_counts_twice(tmp_path):
     logs = find_logs(folders)
     assert [path.name for path in logs] == ["mine.csv", "odd.csv"]
     words = left_out(folders, logs)
-    assert words.startswith("8 files left out: ")
-    assert f"{tmp_path}/estimate.csv (an estimate that convert wrote)" in words
-    assert f"{tmp_path}/below/wind.csv (a table without inertial samples: no column" in words
+    assert words.startswith("10 files left out: ")
+    both = f"{tmp_path}/estimate.csv, {tmp_path}/estimate.csv.gz"
+    assert f"{both} (an estimate that convert wrote)" in words
+    both = f"{tmp_path}/below/wind.csv, {tmp_path}/below/wind.csv.gz"
+    assert f"{both} (a table without inertial samples: no column" in words
     assert f"{tmp_path}/3.txt and 2 more (none of .tlog, .bin, .ulg, .csv)" in words
     assert "columns.yaml" not in words
 
