@@ -46,12 +46,16 @@ def doctor(
 ) -> None:
     """Find the stage that loses the data, and the parameter to change."""
     from ekf_companion.doctor.diagnosis import diagnose, first_failure
+    from ekf_companion.logs.source import suffix_of
 
     with exit_on_error():
         if log is not None and (link is not None or listen):
             raise ConfigError("--log: a recording has no link; leave out --link and --listen")
-        if log is not None and log.suffix.lower() != ".tlog":
-            raise ConfigError(f"--log: {log}: only a .tlog has the stages; name one, or a --link")
+        if log is not None and suffix_of(log) != ".tlog":
+            raise ConfigError(
+                f"--log: {log}: only a .tlog holds what came over a link; `ekf-companion report` "
+                "says what any log is good for"
+            )
         if url is not None and (log is not None or link is not None or listen or config):
             raise ConfigError("--url: a daemon has its own link; leave the other options out")
         if url is not None:

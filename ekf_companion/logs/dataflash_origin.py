@@ -6,6 +6,7 @@ import numpy as np
 
 from ekf_companion.logs.dataflash_records import OFFSET
 from ekf_companion.logs.dataflash_tables import Columns
+from ekf_companion.logs.recording import counted
 from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
@@ -63,8 +64,8 @@ def geodetic(
             words = "the origin of the autopilot's filter is not in the log: it is fitted"
         else:
             words = (
-                f"the autopilot's filter took {len(rows) - 1} new origins, as at each arming, and "
-                "they are not in the log: each is fitted"
+                f"the autopilot's filter took {counted(len(rows) - 1, 'new origin')}, as at each "
+                "arming, not in the log: each part is fitted"
             )
         notes.append(f"{words} to the GNSS fixes{_FITTED}")
     found = np.full((3, len(t_ns)), np.nan)

@@ -1,5 +1,6 @@
 """The command over real sockets, pseudo-terminals and recordings."""
 
+import gzip
 import json
 import logging
 import os
@@ -303,10 +304,20 @@ def test_recorded_flights_are_judged_as_a_pilot_would(name, part, first_failed, 
         assert causes == []
 
 
-def test_a_simulated_recording_is_judged_and_printed_in_lines(tmp_path):
+def test_a_log_that_is_no_telemetry_is_refused_with_what_to_do(tmp_path):
+    result = CliRunner().invoke(app, ["doctor", "--log", str(tmp_path / "flight.ulg.gz")])
+    assert result.exit_code == 2
+    assert "only a .tlog holds what came over a link; `ekf-companion report` " in result.output
+
+
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_a_simulated_recording_is_judged_and_printed_in_lines(is_packed, tmp_path):
     log = tmp_path / "flight.tlog"
     options = ["--scenario", "hover", "--duration", "8", "--imu-rate", "100"]
     assert CliRunner().invoke(simulator, ["generate", "-o", str(log), *options]).exit_code == 0
+    if is_packed:
+        log = tmp_path / "flight.tlog.gz"
+        log.write_bytes(gzip.compress((tmp_path / "flight.tlog").read_bytes()))
     result = CliRunner().invoke(app, ["doctor", "--log", str(log)])
     assert result.exit_code == 0
     assert result.stdout.startswith("-        link       a recording has none\nok       bytes ")
