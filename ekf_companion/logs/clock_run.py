@@ -22,8 +22,9 @@ Ranges = list[tuple[int, int]]
 
 FEW = 0.01
 """Share of all rows below which a stretch between two jumps counts as damage."""
-MOST_STRETCHES = 100_000
-"""Stretches beyond which the stamps are not a clock's, since each jump begins another."""
+MOST_STRETCHES = 1_000_000
+"""Stretches, of which each jump begins one, beyond which only those side by side are compared: a
+million takes 5 s."""
 MOST_APART = 8
 """Runs of rows with damaged stamps that may follow each other before the clock continues."""
 
@@ -118,18 +119,20 @@ def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
         follows = goes_on(low_us[1:] - high_us[:-1], np.minimum(reach[1:], reach[:-1]))
         cuts = np.append(0, np.flatnonzero(~follows) + 1)
         return [int(one) for one in np.repeat(cuts, np.diff(np.append(cuts, len(low))))]
+    # Lists: the numbers are read one by one
+    lows, highs, far, sizes = (one.tolist() for one in (low_us, high_us, reach, rows))
     group: list[int] = []
-    weight = rows.tolist()  # rows of each group
-    for here, begin in enumerate(low_us.tolist()):
-        best, between = -1, 0
+    weight = sizes[:]  # rows of each group
+    for here, begin in enumerate(lows):
+        best, between, least = -1, 0, 0
         for place in range(here - 1, max(here - 1 - MOST_APART, -1), -1):
-            step = begin - high_us[place]
-            is_time = bool(low[place] or high[place])
-            is_sure = place == here - 1 and min(rows[here], rows[place]) >= few
-            follows = is_time and goes_on(step, min(reach[here], reach[place])) and not is_sure
-            if follows and (best < 0 or abs(step) < abs(begin - high_us[best])):
-                best = place
-            between += int(rows[place])
+            step = begin - highs[place]
+            is_time = bool(lows[place] or highs[place])
+            is_sure = place == here - 1 and min(sizes[here], sizes[place]) >= few
+            follows = is_time and goes_on(step, min(far[here], far[place])) and not is_sure
+            if follows and (best < 0 or abs(step) < least):
+                best, least = place, abs(step)
+            between += sizes[place]
             if between > few:
                 break
         if best >= 0:
@@ -142,8 +145,8 @@ def _groups(low: Stamps, high: Stamps, rows: Stamps, few: float) -> list[int]:
         group.append(group[best])
         weight[group[best]] += weight[here]
         for place in range(best + 1, here):
-            weight[group[place]] -= int(rows[place])
-            group[place], weight[place] = place, int(rows[place])
+            weight[group[place]] -= sizes[place]
+            group[place], weight[place] = place, sizes[place]
     return group
 
 

@@ -96,6 +96,14 @@ def test_rows_that_are_wrong_alike_again_and_again_cost_themselves(each, by_s):
     assert np.flatnonzero(~mask).tolist() == [*range(1000, len(t_ns), each)]
 
 
+def test_a_third_of_the_rows_of_a_long_log_may_be_wrong_alike():
+    t_ns = np.arange(1, 300_000, dtype=np.int64) * SECOND // 400
+    is_wrong = np.arange(len(t_ns)) % 3 == 1
+    t_ns[is_wrong] += 10**6 * SECOND
+    mask, _ = clock_run.of_stamps(t_ns)
+    assert np.array_equal(mask, ~is_wrong)
+
+
 def test_of_two_boots_with_silences_no_mixture_is_read():
     first = np.concatenate([STEADY[:2000], STEADY[:1000] + 40 * SECOND])
     second = np.concatenate([STEADY[:600], STEADY[:2000] + 70 * SECOND])
