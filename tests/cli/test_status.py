@@ -210,6 +210,14 @@ def test_the_page_shows_rates_against_what_was_asked_and_every_aid(data):
     assert "99.9 % within 0.3 ms" in text
 
 
+@pytest.mark.parametrize(("count", "times"), [(1, "once"), (2, "2 times")])
+def test_one_of_a_thing_is_one(data, count, times):
+    peer, estimator = {**data["peer"], "reboots": count}, {**data["estimator"], "gaps": count}
+    text = page({**data, "peer": peer, "estimator": estimator})
+    assert f"rebooted {times}" in text
+    assert f" samples, {count} gap{'s' * (count - 1)}" in text
+
+
 @pytest.mark.parametrize("width", [60, 80])
 def test_a_narrow_terminal_cuts_no_word_and_no_number(data, width):
     vehicle, sigma = data["vehicle"], {**data["vehicle"]["sigma"], "north_m": 12345.67}
