@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import clock_run, csv_known
+from ekf_companion.logs import clock_run, csv_known, repeats
 from ekf_companion.logs.csv_columns import (
     OPTIONS,
     QUANTITIES,
@@ -166,14 +166,18 @@ class _Clock:
         """
         self._source, self._rows, self._times = source, rows, Spool(1)
         self._per_unit = round(abs(source.scale) * 1e9)
-        largest = 0.0
+        largest, found = 0.0, repeats.Repeats()
         for part in rows.blocks(AT_ONCE):
             if source.column is None:
                 time = np.full(len(part), source.value)
             else:
                 time = part[:, names.index(source.column)]
+            is_time = self._is_time(time)
+            t_ns = np.where(is_time, time * self._per_unit, 0.0).astype(np.int64)
+            time = np.where(found.take(t_ns, part), np.nan, time)
             self._times.append(time[:, None])
             largest = float(np.abs(time[self._is_time(time)]).max(initial=largest))
+        self._repeated = found.count
         # Where the float's last digit is coarser than 1 ns, the file holds microseconds
         self._step = 1000 if np.spacing(largest) * self._per_unit > 1.0 else 1
         self._ranges = clock_run.of_parts(t_ns for _, t_ns in self._stamps())[0]
@@ -189,8 +193,9 @@ class _Clock:
 
     @property
     def lost(self) -> int:
-        """Return how many rows are not on the run."""
-        return len(self._rows) - sum(end - first for first, end in self._ranges)
+        """Return how many rows are not on the run, and no copies of others."""
+        used = sum(end - first for first, end in self._ranges)
+        return len(self._rows) - used - self._repeated
 
     def notes(self) -> Iterator[str]:
         """Return notes on rows that were dropped."""
@@ -198,6 +203,7 @@ class _Clock:
         parts = (t_ns for _, t_ns in self._stamps()) if self.lost else ()
         zeros = clock_run.zeros_off(parts, self._holds)
         yield from misfits(self.lost, len(self._rows), why, zeros)
+        yield from repeats.note(self._repeated)
 
     def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
         """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""

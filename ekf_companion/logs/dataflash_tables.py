@@ -17,10 +17,11 @@ from ekf_companion.logs import (
     dataflash_instances,
     dataflash_old,
     dataflash_sensors,
+    repeats,
 )
 from ekf_companion.logs.clock_run import Extent
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
-from ekf_companion.logs.dataflash_records import Tables
+from ekf_companion.logs.dataflash_records import OFFSET, Tables
 from ekf_companion.logs.recording import Damage
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Mask, Stamps
@@ -74,6 +75,8 @@ def choose(tables: Tables, notes: list[str]) -> tuple[Tables, Extent, Damage]:
     tables = dataflash_old.with_barometer(tables, notes)
     usable = {name: t for name, t in tables.items() if _is_usable(t, NEEDED[name]) and len(t)}
     tables = dataflash_instances.choose(usable, notes)
+    tables, twice = repeats.left_out(tables, boot_ns, OFFSET)
+    notes += twice
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
     stamps = {
         name: stamps_of(table)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.logs import aids, clock_run, series, ulog_instances, ulog_messages
+from ekf_companion.logs import aids, clock_run, repeats, series, ulog_instances, ulog_messages
 from ekf_companion.logs.clock_run import Extent
 from ekf_companion.logs.recording import Damage
 from ekf_companion.logs.stored_rows import Column, StoredRows
@@ -103,6 +103,8 @@ def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent, Damage]:
     found |= ulog_instances.choose(log, usable, notes)
     for name in ulog_instances.ASKED:
         found.pop(name, None)
+    found, twice = repeats.left_out(found, lambda rows: series.nanoseconds(rows["timestamp"]))
+    notes += twice
     stamps = {name: stamps_of(rows) for name, rows in found.items()}
     runs = clock_run.common(stamps, "sensor_combined")
     kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}

@@ -131,6 +131,30 @@ def test_rows_that_are_dropped_for_their_stamps_are_named_in_the_verdict(
     assert verdict(found) == f"{words} dropped"
 
 
+@in_every_format
+def test_a_block_that_stands_in_a_log_twice_counts_once(rows, kind, tmp_path):
+    """All before it was dropped, as of another boot; in telemetry it cost nothing."""
+    whole = convert(rows, kind, tmp_path)
+    for name, stamps, columns in (
+        (Kind.IMU, "imu_ns", ["imu"]),
+        (Kind.GNSS, "fix_ns", ["fix", "fix_type", "heading", "utc_us"]),
+        (Kind.MAG, "mag_ns", ["mag"]),
+        (Kind.BARO, "baro_ns", ["baro"]),
+    ):
+        came = rows.arrivals_ns[name]
+        again = (came >= BOOT_NS + 20 * 10**9) & (came < BOOT_NS + 25 * 10**9)
+        for one in (stamps, *columns):
+            values = getattr(rows, one)
+            setattr(rows, one, np.concatenate([values, values[again]]))
+        late = BOOT_NS + 25 * 10**9 - 10**6 + (came[again] - BOOT_NS - 20 * 10**9) // 100_000
+        rows.arrivals_ns[name] = np.concatenate([came, late])
+    found = convert(rows, kind, tmp_path)
+    assert verdict(found) == verdict(whole)
+    assert np.array_equal(found.table.stamp_ns, whole.table.stamp_ns)
+    assert ("rows repeat earlier ones to the bit" in found.notes) == (kind in TABLES)
+    assert worst(found.distance, found, 20.0) < 1.5
+
+
 def test_a_counter_of_32_bits_that_goes_round_costs_nothing(rows, tmp_path):
     """It cost half of the flight: a step back by 71.6 minutes was taken for a reboot."""
     period_ns = 1000 * (1 << 32)
