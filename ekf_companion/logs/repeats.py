@@ -30,7 +30,7 @@ class Repeats:
         self.count = 0
         """Rows found."""
         self._past = np.zeros(0, dtype=np.uint64)
-        self._last_ns: int | None = None
+        self._newest_ns: int | None = None
         self._is_within = False
 
     def take(self, t_ns: Stamps, rows: npt.NDArray[Any]) -> Mask:
@@ -43,18 +43,14 @@ class Repeats:
         found = np.zeros(len(t_ns), dtype=bool)
         if not len(t_ns):
             return found
-        marks = _marks(rows)
-        first_ns = int(t_ns[0]) if self._last_ns is None else self._last_ns
-        begins = np.flatnonzero(np.diff(t_ns, prepend=first_ns) < -BACK_NS).tolist()
-        begins = [0, *begins] if self._is_within else begins
-        known = np.append(self._past, marks)
-        if begins:
+        first_ns = int(t_ns[0]) - 1 if self._newest_ns is None else self._newest_ns
+        newest = np.maximum.accumulate(np.append(first_ns, t_ns))
+        known = np.append(self._past, _marks(rows))
+        if self._is_within or (t_ns < newest[:-1] - BACK_NS).any():
             _, first, which = np.unique(known, return_index=True, return_inverse=True)
-            is_new = first[which] == np.arange(len(known))
-            news = np.append(np.flatnonzero(is_new[len(self._past) :]), len(t_ns))
-            for begin in begins:
-                found[begin : news[np.searchsorted(news, begin)]] = True
-        self._past, self._last_ns = known[-KEPT:], int(t_ns[-1])
+            is_copy = first[which] < np.arange(len(known))
+            found = is_copy[len(self._past) :] & (t_ns <= newest[:-1])
+        self._past, self._newest_ns = known[-KEPT:], int(newest[-1])
         self._is_within = bool(found[-1])
         self.count += int(found.sum())
         return found

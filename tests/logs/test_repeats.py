@@ -32,6 +32,16 @@ def test_a_block_that_is_copied_twice_is_found_twice():
     ]
 
 
+def test_a_copy_that_is_damaged_or_lacks_rows_is_one_but_for_these():
+    rows = np.concatenate([ROWS, ROWS[1000:2000]])
+    rows[3500, 3] += 1.0
+    keep = np.delete(np.arange(4000), [3100, 3900])
+    t_ns = np.concatenate([T_NS, T_NS[1000:2000]])
+    found = Repeats().take(t_ns[keep], rows[keep])
+    assert found.sum() == 997
+    assert not found[:3000].any()
+
+
 def test_rows_that_are_late_or_of_another_flight_are_no_copies():
     assert found([*range(1000), *range(900, 3000)]) == []  # a second: packets that came twice
     other = ROWS.copy()
