@@ -49,7 +49,8 @@ class Repeats:
         if self._is_within or (t_ns < newest[:-1] - BACK_NS).any():
             _, first, which = np.unique(known, return_index=True, return_inverse=True)
             is_copy = first[which] < np.arange(len(known))
-            found = is_copy[len(self._past) :] & (t_ns <= newest[:-1])
+            # 0 is no time, so it tells no row from another
+            found = is_copy[len(self._past) :] & (t_ns <= newest[:-1]) & (t_ns != 0)
         self._past, self._newest_ns = known[-KEPT:], int(newest[-1])
         self._is_within = bool(found[-1])
         self.count += int(found.sum())

@@ -51,6 +51,12 @@ def test_rows_that_are_late_or_of_another_flight_are_no_copies():
     assert not repeats.take(T_NS, other).any()
 
 
+def test_rows_without_a_time_are_no_copies_of_each_other():
+    t_ns = T_NS.copy()
+    t_ns[500::100] = 0
+    assert not Repeats().take(t_ns, t_ns[:, None]).any()
+
+
 def test_records_and_numbers_that_are_not_known_are_compared_by_their_bytes():
     rows = np.zeros(3000, dtype=[("t", "<i8"), ("id", "u1"), ("x", "<f4")])
     rows["t"], rows["x"] = T_NS, np.nan
