@@ -1,0 +1,94 @@
+"""The bank of fault hypotheses: what the estimate would be off by, if a fault had begun.
+
+``setup.py`` makes ``bank.pxd`` from it. What lies before ``T`` outlives a step, as far as there are
+instances; so a snapshot copies that and no more.
+"""
+
+from typing import Annotated
+
+from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
+from ekf_companion.core.memory.enums import AIDS, N
+
+INSTANCES = 192
+"""Most that are kept; the least probable goes where there is no room."""
+MOVING = 15
+"""Error states that a transition mixes: attitude, velocity, position, both biases."""
+
+
+@struct
+class Instance:
+    """One fault that began at one time, and how the state would be off by it."""
+
+    kind: Count
+    """:class:`~.enums.Fault`."""
+    level: Count
+    """It stands for 2^level onsets."""
+    t0: Real
+    """Onset, ns."""
+    mass: Real
+    """Time in which it may have begun, h: its own and of those that went into it."""
+    evidence: Real
+    """Log-likelihood of what came since, beside that of no fault."""
+    p: Real
+    """Its posterior probability."""
+    b: Annotated[Vector, 3]
+    """The fault's mean, in its unit."""
+    M: Annotated[Vector, 3, 3]
+    """Its covariance."""
+    U: Annotated[Vector, 3, N]
+    """The state's error by each component: the right estimate is x + U b."""
+
+
+@struct
+class Trial:
+    """What an instance learns from one reading, before that is taken."""
+
+    T: Annotated[Vector, 3, 3]
+    """Whitened."""
+    b: Annotated[Vector, 3]
+    M: Annotated[Vector, 3, 3]
+    gain: Annotated[Vector, 3]
+    """M T'."""
+    spread: Real
+    """Sum of the logarithms of what the fault adds to the variances of the rows."""
+
+
+@struct
+class Bank:
+    """All instances; how the state has moved since their columns followed it; who repeats."""
+
+    t: Real
+    """Of the last reading that was judged, ns."""
+    resets: Real
+    """Of the state, when they were counted last."""
+    redrawn: Annotated[Vector, N]
+    """Likewise of each error state."""
+    fix_t: Real
+    """Of the last fix by which instances began, ns."""
+    begun_t: Annotated[Vector, AIDS]
+    """When the last ones of each spacing began, ns."""
+    Phi: Annotated[Vector, MOVING, MOVING]
+    """Transition since the columns followed."""
+    faded: Annotated[Vector, 3]
+    """Share that is left of the slow errors of heading, position and velocity since then."""
+    sum: Annotated[Vector, AIDS, 3]
+    """Of the whitened innovations of each aid in the block that is being filled."""
+    count: Annotated[Vector, AIDS]
+    block_t: Annotated[Vector, AIDS]
+    """Begin of that block, ns."""
+    common: Annotated[Vector, AIDS]
+    """How many readings in a row say the same, as learnt: one, if they are white."""
+    nothing: Real
+    """Posterior probability that nothing is wrong."""
+    n: Count
+    has_T: Count
+    """T is of the observation that is being judged."""
+    instance: Annotated[Structs, Instance, INSTANCES]
+    T: Annotated[Vector, INSTANCES, 3, 3]
+    """What a component adds to each row of the innovation."""
+    work: Annotated[Vector, 9]
+    trial: Trial
+
+
+BANK = doubles(Bank)
+"""Of numbers of 8 bytes."""
