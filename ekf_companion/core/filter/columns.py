@@ -102,6 +102,15 @@ def follow_column(b: Bank, u: Vector) -> None:
         u[E_GNSS_VEL + i] *= b.faded[2]
 
 
+def look_ahead(b: Bank, u: Vector, out: Vector) -> None:
+    """Write attitude, velocity and position of a column as of now; the column stays behind."""
+    for i in range(9):
+        s = 0.0
+        for j in range(MOVING):
+            s += b.Phi[i][j] * u[j]
+        out[i] = s
+
+
 def observe(b: Bank, o: Observation) -> None:
     """Write into T what each component does to the rows of an observation, by the state: H U."""
     for i in range(b.n):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import cython
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.rotation import rotate
+from cython.cimports.ekf_companion.core.memory.bank import Instance
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
@@ -166,6 +167,19 @@ def apply_delay_update(x: State, o: Observation) -> None:
     x.P[E_DELAY][E_DELAY] -= gain * o.PHt[0][E_DELAY]
     if o.has_bank:
         columns.correct_delay(x, o, gain)
+
+
+def add_columns(x: State, h: Instance, rows: int) -> None:
+    """Add the uncertainty of a fault to P, by its columns: U M U'."""
+    for c in range(rows):
+        for d in range(rows):
+            for i in range(N):
+                s = h.U[c][i] * h.M[c][d]
+                for j in range(N):
+                    x.P[i][j] += s * h.U[d][j]
+    for i in range(N):
+        for j in range(i):
+            x.P[i][j] = x.P[j][i]
 
 
 def inject(x: State, o: Observation) -> None:

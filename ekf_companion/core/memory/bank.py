@@ -7,7 +7,7 @@ instances; so a snapshot copies that and no more.
 from typing import Annotated
 
 from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
-from ekf_companion.core.memory.enums import AIDS, N
+from ekf_companion.core.memory.enums import AIDS, FAULTS, SOURCES, N
 
 INSTANCES = 192
 """Most that are kept; the least probable goes where there is no room."""
@@ -80,13 +80,54 @@ class Bank:
     """How many readings in a row say the same, as learnt: one, if they are white."""
     nothing: Real
     """Posterior probability that nothing is wrong."""
+    acts: Real
+    """What it finds is repaired, and what is shown is the mixture."""
+    since: Annotated[Vector, SOURCES]
+    """Since when a source is beyond doubt, ns."""
+    declared: Annotated[Vector, FAULTS]
+    """How often each kind was."""
+    declared_t: Real
+    """When the last one was, ns."""
+    drift: Annotated[Vector, 4]
+    """Rate at which a declared slide goes on: position n e d, barometer, m/s."""
+    drift_var: Annotated[Vector, 4]
+    drift_t: Annotated[Vector, 4]
+    """Since when, ns."""
+    driven_t: Annotated[Vector, 4]
+    """Until when it was driven, ns."""
+    taken: Annotated[Vector, FAULTS, 3]
+    """What is taken off the readings: of declared faults that no error state holds."""
+    taken_var: Annotated[Vector, FAULTS, 3]
+    explained: Annotated[Vector, AIDS]
+    """Recent mean NIS a row by the best explanation."""
+    window_t: Real
+    """Begin of the window of the inertial noise, ns."""
+    has_outlier: Real
+    """It holds a reading beyond its gate."""
+    lam: Annotated[Vector, 6]
+    """Sum over the window of T' y: accelerometer, gyro."""
+    Lam: Annotated[Vector, 6]
+    """Sum of T' T."""
+    log_share: Real
+    """Logarithm of the share of the configured inertial noise."""
+    information: Real
+    """Of that, from the last minute."""
+    mean: Annotated[Vector, 9]
+    """What the mixture adds to attitude, velocity, position."""
+    spread: Annotated[Vector, 9, 9]
+    """What it adds to their covariance."""
+    spare: Annotated[Vector, 64]
     n: Count
     has_T: Count
     """T is of the observation that is being judged."""
     instance: Annotated[Structs, Instance, INSTANCES]
     T: Annotated[Vector, INSTANCES, 3, 3]
     """What a component adds to each row of the innovation."""
-    work: Annotated[Vector, 9]
+    work: Annotated[Vector, N]
+    ahead: Annotated[Vector, 3, 9]
+    """Columns of an instance as of now."""
+    field_slope: Annotated[Vector, 2]
+    """What a field in n does to the last azimuth, rad/gauss."""
     trial: Trial
 
 

@@ -170,6 +170,30 @@ class Fault(IntEnum):
     """The fixes are later than they are taken for."""
     LEVER = 21
     """The antenna is elsewhere."""
+    ACCEL_NOISE = 22
+    """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
+    GYRO_NOISE = 23
+
+
+class Source(IntEnum):
+    """Whose fault it is: what has the same consequence is declared together."""
+
+    POSITION = 0
+    DRAG = 1
+    """Never declared: no other source can ever contradict it, nor confirm it."""
+    VELOCITY = 2
+    CLIMB = 3
+    HEIGHT = 4
+    BARO = 5
+    ACCEL = 6
+    GYRO = 7
+    STATE = 8
+    """What was integrated, before."""
+    COMPASS = 9
+    HEADING = 10
+    DELAY = 11
+    LEVER = 12
+    NOISE = 13
 
 
 class Shows(IntEnum):
@@ -228,6 +252,7 @@ ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "VOICE": Voice,
     "FAULT": Fault,
     "SHOWS": Shows,
+    "SOURCE": Source,
 }
 """Enumerations that the kernel knows, by the prefix of their members: ``MODE_LEVEL``."""
 
@@ -269,6 +294,7 @@ for _one in DECLARED:
 
 AIDS = len(Aid)
 FAULTS = len(Fault)
+SOURCES = len(Source)
 VERDICTS = len(Verdict)
 HEADINGS = 3
 """Kinds of sensor of a heading: two antennas, another estimate, a compass; an :class:`Azimuth` less

@@ -40,6 +40,8 @@ class FaultParameters:
     """Time between two onsets that are told apart, s; 0: each reading is one."""
     shows: Count
     """:class:`~.enums.Shows`: in which rows."""
+    source: Count
+    """:class:`~.enums.Source`: whose."""
 
 
 @struct
@@ -111,7 +113,7 @@ class Parameters:
     keeps_bias: Real
     """The biases outlive a reboot of the autopilot in flight."""
     weighs_faults: Real
-    """The bank of fault hypotheses runs beside the filter."""
+    """The bank of fault hypotheses runs beside the filter: 1 it tells, 2 it decides."""
     fault: Annotated[Structs, FaultParameters, FAULTS]
     """By kind."""
 

@@ -169,6 +169,8 @@ def fuse_azimuth(
         if r.has_iron != 0.0:
             leap.keep(x, z)
         return
+    if k.weighs_faults == 2.0:
+        return
     if r.has_iron != 0.0:
         leap.look(x, k, z)
     if (

@@ -77,11 +77,11 @@ def parameters(
     k.limit_pos = gate.limit_position
     k.gravity = STANDARD_GRAVITY
     k.keeps_bias = habit.keeps_bias
-    k.weighs_faults = settings.weigh_faults
+    k.weighs_faults = ("off", "report", "act").index(settings.weigh_faults)
     for fault, prior in FAULTS.items():
         of = k.fault[fault]
         of.rows, of.std, of.rate = prior.rows, prior.std, prior.rate
-        of.every, of.shows = prior.every, prior.shows
+        of.every, of.shows, of.source = prior.every, prior.shows, prior.source
     return numbers
 
 

@@ -33,6 +33,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_DELAY,
     E_IRON,
     E_VEL,
+    FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
     FAULT_BARO_RAMP,
     FAULT_BARO_SPEED,
@@ -42,6 +43,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_DELAY,
     FAULT_DRAG,
     FAULT_FIELD,
+    FAULT_GYRO_NOISE,
     FAULT_GYRO_STEP,
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
@@ -55,9 +57,12 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
     FAULT_YAW,
+    FAULTS,
     MODE_NAVIGATE,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
+    SOURCE_NOISE,
+    SOURCES,
     N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm
@@ -89,6 +94,19 @@ MEMORY = cython.declare(cython.double, 10.0)
 """Blocks that this is learnt over."""
 LARGEST = cython.declare(cython.double, 3.0)
 """Largest whitened innovation that counts there, sigmas."""
+WINDOW = cython.declare(cython.double, 0.95e9)
+"""Time over which the inertial noise is learnt as a constant, ns: over ten seconds a slow wave is
+none."""
+LONGEST_WINDOW = cython.declare(cython.double, 2.0)
+"""s; after a silence of the fixes a window says nothing."""
+NOISE_MEMORY = cython.declare(cython.double, 60.0)
+"""Time constant with which what the noise was is forgotten, s."""
+USUAL_LOG_SHARE = cython.declare(cython.double, -3.5)
+"""ln 0.03: of what is configured, beside what the samples show themselves."""
+LOG_SHARE_VAR = cython.declare(cython.double, 4.0)
+"""Log-normal prior: seven times more or less."""
+LARGEST_STEP = cython.declare(cython.double, 0.7)
+"""Largest step of that logarithm: a window doubles the variance at most."""
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
 FAST = cython.declare(cython.double, 225.0)
@@ -100,6 +118,12 @@ def begin(b: Bank) -> None:
     b.n = 0
     b.has_T = 0
     b.fix_t = NEVER
+    b.window_t = NEVER
+    b.nothing = 1.0
+    for source in range(SOURCES):
+        b.since[source] = NEVER
+    if b.information == 0.0:
+        b.log_share = USUAL_LOG_SHARE
     for aid in range(AIDS):
         b.begun_t[aid] = NEVER
         if not b.common[aid] >= 1.0:
@@ -126,10 +150,16 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         nothing += o.y[r] * o.y[r]
     nothing = cost(nothing, o.rows)
     for i in range(b.n):
-        add_direct(x, address(b.instance[i]), o, aid, b.T[i])
-        weigh_reading(k, b, i, o, nothing, share)
+        h = address(b.instance[i])
+        add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
+        weigh_reading(k, b, i, o, aid, nothing, share)
     thin(x, b)
     find_posterior(k, b)
+    if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
+        for c in range(2):
+            b.field_slope[c] = 0.0
+            for i in range(3):
+                b.field_slope[c] += o.H[0][E_IRON + i] * o.C_nb[c][i]
 
 
 def cost(nis: float, rows: int) -> float:
@@ -140,7 +170,7 @@ def cost(nis: float, rows: int) -> float:
 
 
 def weigh_reading(
-    k: Parameters, b: Bank, i: int, o: Observation, nothing: float, share: float
+    k: Parameters, b: Bank, i: int, o: Observation, aid: int, nothing: float, share: float
 ) -> None:
     """Add what a reading says to the evidence of an instance, and learn its b from it."""
     h = address(b.instance[i])
@@ -155,6 +185,10 @@ def weigh_reading(
             to.T[r][c] = s / o.L[r][r]
             shown += to.T[r][c] * to.T[r][c]
     if shown == 0.0:
+        return
+    if k.fault[h.kind].source == SOURCE_NOISE:
+        if aid != AID_HEADING:
+            add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
         return
     nis = try_reading(h, to, o, rows, 1.0)
     h.evidence += 0.5 * share * (nothing - cost(nis, o.rows) - to.spread)
@@ -190,6 +224,54 @@ def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float)
             for j in range(rows):
                 to.M[c][j] -= to.gain[c] * to.gain[j] / s
     return nis
+
+
+def add_to_window(b: Bank, first: int, o: Observation) -> None:
+    """Add a reading to the window by which the inertial noise is learnt."""
+    for c in range(3):
+        for r in range(o.rows):
+            b.lam[first + c] += b.trial.T[r][c] * o.y[r]
+            b.Lam[first + c] += b.trial.T[r][c] * b.trial.T[r][c]
+
+
+def end_window(x: State, k: Parameters, b: Bank) -> None:
+    """Learn the share of the configured inertial noise from a window, and begin another.
+
+    A noise is a bias that is constant over its window: the slope of the log-likelihood by the
+    logarithm of its variance is ``(M lam^2 - M Lam) / 2``, whose mean is zero where M is right.
+    """
+    span = (x.t - b.window_t) * 1e-9
+    if b.window_t > NEVER and span < LONGEST_WINDOW:
+        share = exp(b.log_share)
+        slope = 0.0
+        information = 0.0
+        for j in range(6):
+            configured = k.gyro_noise if j >= 3 else k.accel_noise
+            configured *= configured * share
+            learnt = x.noise[j - 3] if j >= 3 else x.noise[j + 3]
+            part = configured / (configured + learnt)
+            M = (configured + learnt) / span
+            square = b.lam[j] * b.lam[j]
+            most = 9.0 * (b.Lam[j] + M * b.Lam[j] * b.Lam[j])
+            square = square if square < most else most
+            # as far as it is known, a mean of all that may be
+            scale = part / (1.0 + M * b.Lam[j])
+            slope += 0.5 * scale * M * (square / (1.0 + M * b.Lam[j]) - b.Lam[j])
+            information += 0.5 * scale * scale * M * M * b.Lam[j] * b.Lam[j]
+        kept = exp(-span / NOISE_MEMORY)
+        b.information = kept * b.information + information
+        slope -= (1.0 - kept) * (b.log_share - USUAL_LOG_SHARE) / LOG_SHARE_VAR
+        step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
+        step = step if step < LARGEST_STEP else LARGEST_STEP
+        b.log_share += step if step > -LARGEST_STEP else -LARGEST_STEP
+        if b.acts != 0.0:
+            x.doubt = exp(b.log_share)
+    b.window_t = x.t
+    for j in range(6):
+        b.lam[j] = 0.0
+        b.Lam[j] = 0.0
+    begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
+    begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
 
 
 def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
@@ -229,6 +311,8 @@ def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
         begin_kinds(x, k, b, aid, FAULT_HEADING_STEP, FAULT_HEADING_STEP)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
         b.fix_t = x.fix_t
+        if not x.t - b.window_t < WINDOW:
+            end_window(x, k, b)
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
         begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_LEVER)
@@ -246,9 +330,11 @@ def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: 
 
 def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> None:
     """Begin one of a kind; what its onset stands for is the time since the onset before."""
+    if k.fault[kind].source == SOURCE_NOISE:
+        forget_kind(b, kind)
     fold(b, kind, k.fault[kind].rows)
     if b.n == INSTANCES:
-        drop_least(b)
+        drop_least(k, b)
     h = address(b.instance[b.n])
     b.n += 1
     h.kind = kind
@@ -264,10 +350,10 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
         h.M[c][c] = k.fault[kind].std * k.fault[kind].std
         for e in range(N):
             h.U[c][e] = 0.0
-    if kind == FAULT_ACCEL_STEP:
+    if kind == FAULT_ACCEL_STEP or kind == FAULT_ACCEL_NOISE:
         for c in range(3):
             h.U[c][E_BA + c] = 1.0
-    elif kind == FAULT_GYRO_STEP:
+    elif kind == FAULT_GYRO_STEP or kind == FAULT_GYRO_NOISE:
         for c in range(3):
             h.U[c][E_BG + c] = 1.0
     elif kind == FAULT_KICK:
@@ -321,11 +407,22 @@ def drop(b: Bank, i: int) -> None:
                 b.T[i][r][c] = b.T[b.n][r][c]
 
 
-def drop_least(b: Bank) -> None:
-    """Drop the least probable instance."""
-    least = 0
-    for i in range(1, b.n):
-        if b.instance[i].p < b.instance[least].p:
+def forget_kind(b: Bank, kind: int) -> None:
+    """Drop all instances of a kind."""
+    i = b.n - 1
+    while i >= 0:
+        if b.instance[i].kind == kind:
+            drop(b, i)
+        i -= 1
+
+
+def drop_least(k: Parameters, b: Bank) -> None:
+    """Drop the least probable instance of a fault."""
+    least = -1
+    for i in range(b.n):
+        h = address(b.instance[i])
+        is_fault = cython.declare(cython.bint, k.fault[h.kind].source != SOURCE_NOISE)
+        if is_fault and (least < 0 or h.p < b.instance[least].p):
             least = i
     drop(b, least)
 
@@ -349,7 +446,7 @@ def find_posterior(k: Parameters, b: Bank) -> None:
     vertical = 0.0
     for i in range(b.n):
         h = address(b.instance[i])
-        h.p = log(k.fault[h.kind].rate * h.mass) + h.evidence
+        h.p = h.evidence + log(k.fault[h.kind].rate * h.mass + LEAST)
         most = h.p if h.p > most else most
     # all by the largest, so that no exponential is too large
     for i in range(b.n):
@@ -375,10 +472,24 @@ def find_posterior(k: Parameters, b: Bank) -> None:
             h.p *= 1.0 + level / none
 
 
-def add_direct(x: State, h: Instance, o: Observation, aid: int, T: Dcm) -> None:
-    """Add to T what a fault adds to the reading itself: D."""
-    kind = h.kind
-    since = (x.t - h.t0) * 1e-9
+def take_off(x: State, o: Observation, aid: int) -> None:
+    """Take off an innovation what declared faults add to it, that no error state holds."""
+    b = address(o.bank[0])
+    for kind in range(FAULTS):
+        if b.declared[kind] == 0.0 or b.taken[kind][0] == 0.0:
+            continue
+        for r in range(3):
+            for c in range(3):
+                b.trial.T[r][c] = 0.0
+        add_direct(x, kind, 0.0, o, aid, b.trial.T)
+        for r in range(o.rows):
+            for c in range(3):
+                o.z[r] -= b.trial.T[r][c] * b.taken[kind][c]
+                o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
+
+
+def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: Dcm) -> None:
+    """Add to T what a fault that began some seconds ago adds to the reading itself: D."""
     if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP or kind == FAULT_DRAG:
         if aid == AID_POSITION:
             for r in range(2):

@@ -26,6 +26,8 @@ def heading_level(x: State, k: Parameters) -> float:
     While nothing shows the error, its variance is the level already, and nothing changes.
     """
     level = x.heading_std * x.heading_std
+    if k.weighs_faults == 2.0 and x.heading_offset * x.heading_offset > 9.0 * level:
+        return x.heading_offset * x.heading_offset
     if x.azimuth != AZIMUTH_FIELD or k.learn_noise == 0.0:
         return level
     seen = x.heading_offset * x.heading_offset + x.P[E_HEADING][E_HEADING]

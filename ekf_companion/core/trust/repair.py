@@ -1,0 +1,215 @@
+"""Repair: what follows from the posterior of the fault hypotheses, and from nothing else.
+
+As long as nothing is beyond doubt, what is shown is the mixture: its mean, and its covariance by
+moments. A source that has been beyond doubt for some fixes is declared: the state becomes
+``x + U b``, its covariance ``P + U M U'``, as if the fault had been a state since its onset; and the
+fault lives on in the slow error of its source, or is taken off the readings.
+
+Source: Friedland 1969; Blackman and Popoli 1999, chapter 6 (moments of a mixture).
+"""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
+from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
+from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    AID_HEIGHT,
+    AID_POSITION,
+    E_BARO,
+    E_DELAY,
+    E_GNSS,
+    E_GNSS_VEL,
+    E_HEADING,
+    E_IRON,
+    E_POS,
+    FAULT_BARO_RAMP,
+    FAULT_BARO_STEP,
+    FAULT_BODY_FIELD,
+    FAULT_CLIMB_STEP,
+    FAULT_DELAY,
+    FAULT_FIELD,
+    FAULT_HEADING_STEP,
+    FAULT_HEIGHT_RAMP,
+    FAULT_HEIGHT_STEP,
+    FAULT_POSITION_RAMP,
+    FAULT_POSITION_STEP,
+    FAULT_VELOCITY_STEP,
+    FAULTS,
+    SHOWS_ALL,
+    SOURCE_DRAG,
+    SOURCE_NOISE,
+    SOURCES,
+    N,
+)
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
+from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust.hypotheses import drop
+
+SURE = cython.declare(cython.double, 0.99)
+"""Probability of a source beyond which it is beyond doubt."""
+PATIENCE = cython.declare(cython.double, 3.0)
+"""Fixes for which it must be so."""
+SHORTEST = cython.declare(cython.double, 0.6e9)
+"""And for at least so long, ns."""
+UNLIKELY = cython.declare(cython.double, 1e-3)
+"""Probability below which an instance does not count in what is shown."""
+
+
+def decide(x: State, k: Parameters, o: Observation) -> None:
+    """Declare what has been beyond doubt for long enough."""
+    b = address(o.bank[0])
+    patience = PATIENCE * 1e9 * x.fix_dt
+    patience = patience if patience > SHORTEST else SHORTEST
+    for source in range(SOURCES):
+        p = 0.0
+        best = -1
+        for i in range(b.n):
+            h = address(b.instance[i])
+            if k.fault[h.kind].source == source:
+                p += h.p
+                if best < 0 or h.p > b.instance[best].p:
+                    best = i
+        if p < SURE or source == SOURCE_DRAG or source == SOURCE_NOISE:
+            b.since[source] = NEVER
+        elif b.since[source] <= NEVER:
+            b.since[source] = x.t
+        elif x.t - b.since[source] >= patience:
+            b.since[source] = NEVER
+            repair(x, k, o, best)
+            return
+
+
+def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
+    """Move the state to where it would be if the fault had been known since its onset."""
+    b = address(o.bank[0])
+    h = address(b.instance[i])
+    kind = h.kind
+    rows = k.fault[kind].rows
+    shows = k.fault[kind].shows
+    columns.follow(x, b)
+    b.declared[kind] += 1.0
+    b.declared_t = x.t
+    carry(x, b, h, o)
+    for e in range(N):
+        o.dx[e] = 0.0
+        for c in range(rows):
+            o.dx[e] += h.U[c][e] * h.b[c]
+    add_columns(x, h, rows)
+    inject(x, o)
+
+    # What is left may fail apart; all else was about another state
+    j = b.n - 1
+    while j >= 0:
+        other = k.fault[b.instance[j].kind].shows
+        if shows == SHOWS_ALL or other == SHOWS_ALL or other == shows:
+            drop(b, j)
+        j -= 1
+
+
+def carry(x: State, b: Bank, h: Instance, o: Observation) -> None:
+    """Let the fault live on: extend its columns to the slow error of its source, or take it off."""
+    kind = h.kind
+    since = (x.t - h.t0) * 1e-9
+    if kind == FAULT_POSITION_STEP:
+        h.U[0][E_GNSS] += 1.0
+        h.U[1][E_GNSS + 1] += 1.0
+    elif kind == FAULT_POSITION_RAMP:
+        for c in range(2):
+            h.U[c][E_GNSS + c] += since
+            drive_on(x, b, c, h.b[c], h.M[c][c])
+    elif kind == FAULT_HEIGHT_STEP:
+        h.U[0][E_GNSS + 2] += 1.0
+    elif kind == FAULT_HEIGHT_RAMP:
+        h.U[0][E_GNSS + 2] += since
+        drive_on(x, b, 2, h.b[0], h.M[0][0])
+    elif kind == FAULT_VELOCITY_STEP:
+        h.U[0][E_GNSS_VEL] += 1.0
+        h.U[1][E_GNSS_VEL + 1] += 1.0
+    elif kind == FAULT_CLIMB_STEP:
+        h.U[0][E_GNSS_VEL + 2] += 1.0
+    elif kind == FAULT_BARO_STEP:
+        h.U[0][E_BARO] += 1.0
+    elif kind == FAULT_BARO_RAMP:
+        h.U[0][E_BARO] += since
+        drive_on(x, b, 3, h.b[0], h.M[0][0])
+    elif kind == FAULT_BODY_FIELD:
+        for c in range(3):
+            h.U[c][E_IRON + c] += 1.0
+    elif kind == FAULT_HEADING_STEP:
+        h.U[0][E_HEADING] += 1.0
+    elif kind == FAULT_FIELD:
+        # what it turns the azimuth by; the last azimuth's slopes are in the observation no more
+        for c in range(2):
+            h.U[c][E_HEADING] += b.field_slope[c]
+    elif kind == FAULT_DELAY:
+        h.U[0][E_DELAY] += 1.0
+    else:
+        for c in range(3):
+            b.taken[kind][c] += h.b[c]
+            b.taken_var[kind][c] = h.M[c][c]
+
+
+def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
+    """Let a slide go on by a rate that was found; one that ends has the same against it."""
+    b.drift[axis] += rate
+    b.drift_var[axis] = var
+    if b.drift[axis] * b.drift[axis] < 9.0 * var:
+        b.drift[axis] = 0.0
+    b.drift_t[axis] = x.t
+    b.driven_t[axis] = x.t
+
+
+def drive(x: State, b: Bank, first: int, last: int) -> None:
+    """Move the offsets of declared slides on to now."""
+    for axis in range(first, last + 1):
+        if b.drift[axis] != 0.0:
+            dt = (x.t - b.driven_t[axis]) * 1e-9
+            before = (b.driven_t[axis] - b.drift_t[axis]) * 1e-9
+            now = (x.t - b.drift_t[axis]) * 1e-9
+            var = b.drift_var[axis] * (now * now - before * before)
+            b.driven_t[axis] = x.t
+            if axis < 3:
+                x.gnss_offset[axis] += b.drift[axis] * dt
+                add_variance(x, E_GNSS + axis, var)
+            else:
+                x.baro_offset += b.drift[axis] * dt
+                add_variance(x, E_BARO, var)
+
+
+def mix(x: State, k: Parameters, b: Bank) -> None:
+    """Write what the mixture adds to attitude, velocity and position, mean and covariance."""
+    for i in range(9):
+        b.mean[i] = 0.0
+        for j in range(9):
+            b.spread[i][j] = 0.0
+    if b.nothing > 1.0 - UNLIKELY:
+        return
+    for n in range(b.n):
+        h = address(b.instance[n])
+        if h.p < UNLIKELY:
+            continue
+        rows = k.fault[h.kind].rows
+        for i in range(9):
+            b.work[i] = 0.0
+        for c in range(rows):
+            columns.look_ahead(b, h.U[c], b.ahead[c])
+            for i in range(9):
+                b.work[i] += b.ahead[c][i] * h.b[c]
+        for i in range(9):
+            b.mean[i] += h.p * b.work[i]
+            for j in range(9):
+                s = b.work[i] * b.work[j]
+                for c in range(rows):
+                    for d in range(rows):
+                        s += b.ahead[c][i] * h.M[c][d] * b.ahead[d][j]
+                b.spread[i][j] += h.p * s
+    for i in range(9):
+        for j in range(9):
+            b.spread[i][j] -= b.mean[i] * b.mean[j]
