@@ -31,6 +31,13 @@ class Instance:
     """Log-likelihood of what came since, beside that of no fault."""
     p: Real
     """Its posterior probability."""
+    is_wide: Real
+    """It is of the tenth that is larger by orders of magnitude."""
+    recent: Real
+    """Mean NIS a row of the last readings that it shows in."""
+    readings: Real
+    """How many there were."""
+    spare: Annotated[Vector, 5]
     b: Annotated[Vector, 3]
     """The fault's mean, in its unit."""
     M: Annotated[Vector, 3, 3]
@@ -108,6 +115,10 @@ class Bank:
     """Sum over the window of T' y: accelerometer, gyro."""
     Lam: Annotated[Vector, 6]
     """Sum of T' T."""
+    hold_t: Real
+    """Until when nothing is declared: the inertial noise has just grown, ns."""
+    failed_t: Annotated[Vector, SOURCES]
+    """When each source was declared last, ns."""
     log_share: Real
     """Logarithm of the share of the configured inertial noise."""
     information: Real

@@ -170,9 +170,17 @@ class Fault(IntEnum):
     """The fixes are later than they are taken for."""
     LEVER = 21
     """The antenna is elsewhere."""
-    ACCEL_NOISE = 22
+    FALL = 22
+    """Height and vertical velocity are led away together."""
+    CLIMB_RAMP = 23
+    BARO_SCALE = 24
+    """By the height above where it was found."""
+    SETTLE = 25
+    """The position settles after the first fix."""
+    SETTLE_HEIGHT = 26
+    ACCEL_NOISE = 27
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 23
+    GYRO_NOISE = 28
 
 
 class Source(IntEnum):
@@ -193,7 +201,8 @@ class Source(IntEnum):
     HEADING = 10
     DELAY = 11
     LEVER = 12
-    NOISE = 13
+    FALL = 13
+    NOISE = 14
 
 
 class Shows(IntEnum):

@@ -34,6 +34,8 @@ class FaultParameters:
     """Its components."""
     std: Real
     """One sigma of each, before anything is known, in its unit."""
+    tail: Real
+    """One sigma of the tenth that is larger by orders of magnitude; as ``std``: none is."""
     rate: Real
     """How often it begins in an hour."""
     every: Real

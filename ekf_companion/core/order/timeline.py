@@ -802,6 +802,15 @@ class Timeline:
                 found.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
         return found
 
+    def declarations(self) -> np.ndarray:
+        """Return how often each kind of fault was declared, shape (FAULTS,), and the log share."""
+        counts = np.zeros(enums.FAULTS + 1)
+        if self.w.observation.has_bank:
+            for kind in range(enums.FAULTS):
+                counts[kind] = self.banks[0].declared[kind]
+            counts[enums.FAULTS] = self.banks[0].log_share
+        return counts
+
     @property
     def reset_reason(self) -> int:
         """Why the last reset was made that was no reboot."""

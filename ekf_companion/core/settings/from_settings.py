@@ -80,7 +80,7 @@ def parameters(
     k.weighs_faults = ("off", "report", "act").index(settings.weigh_faults)
     for fault, prior in FAULTS.items():
         of = k.fault[fault]
-        of.rows, of.std, of.rate = prior.rows, prior.std, prior.rate
+        of.rows, of.std, of.tail, of.rate = prior.rows, prior.std, prior.tail, prior.rate
         of.every, of.shows, of.source = prior.every, prior.shows, prior.source
     return numbers
 

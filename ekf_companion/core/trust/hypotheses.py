@@ -39,9 +39,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
+    FAULT_CLIMB_RAMP,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
     FAULT_DRAG,
+    FAULT_FALL,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_GYRO_STEP,
@@ -107,6 +109,15 @@ LOG_SHARE_VAR = cython.declare(cython.double, 4.0)
 """Log-normal prior: seven times more or less."""
 LARGEST_STEP = cython.declare(cython.double, 0.7)
 """Largest step of that logarithm: a window doubles the variance at most."""
+RECENT = cython.declare(cython.double, 10.0)
+"""Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
+LN_TEN = cython.declare(cython.double, 2.302585092994046)
+AGAIN = cython.declare(cython.double, 1000.0)
+"""How much more often a source fails that has just failed: a receiver among houses, a loose plug."""
+FADES = cython.declare(cython.double, 60e9)
+"""ns."""
+HELD = cython.declare(cython.double, 1.2e9)
+"""How long not, ns: until the next window has shown whether that was all."""
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
 FAST = cython.declare(cython.double, 225.0)
@@ -154,7 +165,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
         weigh_reading(k, b, i, o, aid, nothing, share)
     thin(x, b)
-    find_posterior(k, b)
+    find_posterior(x, k, b)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         for c in range(2):
             b.field_slope[c] = 0.0
@@ -191,6 +202,11 @@ def weigh_reading(
             add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
         return
     nis = try_reading(h, to, o, rows, 1.0)
+    if nis > GATE * o.rows and h.is_wide == 0.0:
+        widen(k, h)
+        nis = try_reading(h, to, o, rows, 1.0)
+    h.readings += 1.0
+    h.recent += (nis / o.rows - h.recent) / (h.readings if h.readings < RECENT else RECENT)
     h.evidence += 0.5 * share * (nothing - cost(nis, o.rows) - to.spread)
     if nis > GATE * o.rows:
         try_reading(h, to, o, rows, nis / (GATE * o.rows))
@@ -198,6 +214,18 @@ def weigh_reading(
         h.b[c] = to.b[c]
         for j in range(rows):
             h.M[c][j] = to.M[c][j]
+
+
+def widen(k: Parameters, h: Instance) -> None:
+    """Take an instance for one of the tenth that is far larger, at what that costs."""
+    ratio = k.fault[h.kind].tail / k.fault[h.kind].std
+    h.is_wide = 1.0
+    if ratio <= 1.0:
+        return
+    h.evidence -= LN_TEN
+    for c in range(3):
+        for j in range(3):
+            h.M[c][j] *= ratio * ratio
 
 
 def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float) -> float:
@@ -264,6 +292,8 @@ def end_window(x: State, k: Parameters, b: Bank) -> None:
         step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
         step = step if step < LARGEST_STEP else LARGEST_STEP
         b.log_share += step if step > -LARGEST_STEP else -LARGEST_STEP
+        if step >= 0.5 * LARGEST_STEP:
+            b.hold_t = x.t + HELD
         if b.acts != 0.0:
             x.doubt = exp(b.log_share)
     b.window_t = x.t
@@ -315,7 +345,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
             end_window(x, k, b)
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_LEVER)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_CLIMB_RAMP)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
@@ -343,6 +373,9 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
     h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
     h.evidence = 0.0
     h.p = 0.0
+    h.is_wide = 0.0
+    h.recent = 0.0
+    h.readings = 0.0
     for c in range(3):
         h.b[c] = 0.0
         for j in range(3):
@@ -438,7 +471,15 @@ def thin(x: State, b: Bank) -> None:
         i -= 1
 
 
-def find_posterior(k: Parameters, b: Bank) -> None:
+def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
+    """Return how much more often a source fails that has just failed: it fades in a minute."""
+    failed_t = b.failed_t[k.fault[h.kind].source]
+    if failed_t <= 0.0:
+        return 1.0
+    return 1.0 + AGAIN * exp((failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
+
+
+def find_posterior(x: State, k: Parameters, b: Bank) -> None:
     """Find how probable each instance is; what is level and what is vertical may fail apart."""
     most = 0.0
     whole = 0.0
@@ -446,7 +487,7 @@ def find_posterior(k: Parameters, b: Bank) -> None:
     vertical = 0.0
     for i in range(b.n):
         h = address(b.instance[i])
-        h.p = h.evidence + log(k.fault[h.kind].rate * h.mass + LEAST)
+        h.p = h.evidence + log(k.fault[h.kind].rate * h.mass * again(x, k, b, h) + LEAST)
         most = h.p if h.p > most else most
     # all by the largest, so that no exponential is too large
     for i in range(b.n):
@@ -504,6 +545,14 @@ def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: D
         if aid == AID_VELOCITY:
             for r in range(2):
                 T[r][r] += 1.0
+    elif kind == FAULT_FALL:
+        if aid == AID_HEIGHT:
+            T[0][0] += since
+        elif aid == AID_VELOCITY and o.rows == 3:
+            T[2][0] += 1.0
+    elif kind == FAULT_CLIMB_RAMP:
+        if aid == AID_VELOCITY and o.rows == 3:
+            T[2][0] += since
     elif kind == FAULT_CLIMB_STEP:
         if aid == AID_VELOCITY and o.rows == 3:
             T[2][0] += 1.0

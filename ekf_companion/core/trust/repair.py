@@ -31,8 +31,10 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_RAMP,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
+    FAULT_CLIMB_RAMP,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
+    FAULT_FALL,
     FAULT_FIELD,
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
@@ -58,6 +60,8 @@ PATIENCE = cython.declare(cython.double, 3.0)
 """Fixes for which it must be so."""
 SHORTEST = cython.declare(cython.double, 0.6e9)
 """And for at least so long, ns."""
+UNEXPLAINED = cython.declare(cython.double, 3.0)
+"""Mean NIS a row of the last readings beyond which a fault does not explain them, and waits."""
 UNLIKELY = cython.declare(cython.double, 1e-3)
 """Probability below which an instance does not count in what is shown."""
 
@@ -80,7 +84,11 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             b.since[source] = NEVER
         elif b.since[source] <= NEVER:
             b.since[source] = x.t
-        elif x.t - b.since[source] >= patience:
+        elif x.t < b.hold_t:
+            b.since[source] = x.t
+        elif x.t - b.since[source] >= (
+            patience if b.instance[best].recent < UNEXPLAINED else 2.0 * patience
+        ):
             b.since[source] = NEVER
             repair(x, k, o, best)
             return
@@ -96,6 +104,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
     columns.follow(x, b)
     b.declared[kind] += 1.0
     b.declared_t = x.t
+    b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h, o)
     for e in range(N):
         o.dx[e] = 0.0
@@ -132,8 +141,14 @@ def carry(x: State, b: Bank, h: Instance, o: Observation) -> None:
     elif kind == FAULT_VELOCITY_STEP:
         h.U[0][E_GNSS_VEL] += 1.0
         h.U[1][E_GNSS_VEL + 1] += 1.0
+    elif kind == FAULT_FALL:
+        h.U[0][E_GNSS_VEL + 2] += 1.0
+        h.U[0][E_GNSS + 2] += since
+        drive_on(x, b, 2, h.b[0], h.M[0][0])
     elif kind == FAULT_CLIMB_STEP:
         h.U[0][E_GNSS_VEL + 2] += 1.0
+    elif kind == FAULT_CLIMB_RAMP:
+        h.U[0][E_GNSS_VEL + 2] += since
     elif kind == FAULT_BARO_STEP:
         h.U[0][E_BARO] += 1.0
     elif kind == FAULT_BARO_RAMP:
