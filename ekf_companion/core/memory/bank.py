@@ -95,6 +95,8 @@ class Bank:
     """How often each kind was."""
     declared_t: Real
     """When the last one was, ns."""
+    held: Annotated[Vector, 4]
+    """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
     drift: Annotated[Vector, 4]
     """Rate at which a declared slide goes on: position n e d, barometer, m/s."""
     drift_var: Annotated[Vector, 4]
@@ -135,6 +137,8 @@ class Bank:
     T: Annotated[Vector, INSTANCES, 3, 3]
     """What a component adds to each row of the innovation."""
     work: Annotated[Vector, N]
+    before: Annotated[Vector, 4]
+    """Rates of declared slides before the last was declared, m/s."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     field_slope: Annotated[Vector, 2]

@@ -12,6 +12,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
+from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
@@ -156,7 +157,7 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     o = address(w.observation)
     if k.weighs_faults == ACTS:
         repair.drive(x, address(o.bank[0]), 0, 2)
-        widen_offsets(x)
+        widen_offsets(x, address(o.bank[0]))
     # What is slow of their error is no larger than what has been learnt
     bound_offset(x, o, 0, x.gnss_offset_var[0])
     bound_offset(x, o, 1, x.gnss_offset_var[0])
@@ -188,13 +189,12 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     return True
 
 
-def widen_offsets(x: State) -> None:
-    """Let an offset that a declared fault has left fade with its size as its spread."""
+def widen_offsets(x: State, b: Bank) -> None:
+    """Leave an offset as uncertain as a declared fault has made it, as long as that is held."""
     for i in range(3):
-        square = x.gnss_offset[i] * x.gnss_offset[i]
         level = 0 if i < 2 else 1
-        if square > FADING * x.gnss_offset_var[level]:
-            x.gnss_offset_var[level] = square
+        if b.held[i] != 0.0 and x.P[E_GNSS + i][E_GNSS + i] > x.gnss_offset_var[level]:
+            x.gnss_offset_var[level] = x.P[E_GNSS + i][E_GNSS + i]
         square = x.gnss_vel_offset[i] * x.gnss_vel_offset[i]
         if square > FADING * x.gnss_vel_offset_var:
             x.gnss_vel_offset_var = square

@@ -112,7 +112,7 @@ LARGEST_STEP = cython.declare(cython.double, 0.7)
 RECENT = cython.declare(cython.double, 10.0)
 """Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
 LN_TEN = cython.declare(cython.double, 2.302585092994046)
-AGAIN = cython.declare(cython.double, 1000.0)
+AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed: a receiver among houses, a loose plug."""
 FADES = cython.declare(cython.double, 60e9)
 """ns."""
@@ -256,10 +256,50 @@ def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float)
 
 def add_to_window(b: Bank, first: int, o: Observation) -> None:
     """Add a reading to the window by which the inertial noise is learnt."""
-    for c in range(3):
-        for r in range(o.rows):
-            b.lam[first + c] += b.trial.T[r][c] * o.y[r]
+    for r in range(o.rows):
+        y = o.y[r]
+        y = LARGEST if y > LARGEST else y
+        y = -LARGEST if y < -LARGEST else y
+        for c in range(3):
+            b.lam[first + c] += b.trial.T[r][c] * y
             b.Lam[first + c] += b.trial.T[r][c] * b.trial.T[r][c]
+
+
+def find_leap(x: State, k: Parameters, b: Bank, span: float) -> float:
+    """Return by how much the logarithm of the inertial noise leaps, by the last window; 0: it does not.
+
+    Far above what is taken the slope of the likelihood is flat; so the likelihoods themselves are
+    compared, of ten times, a hundred times and so on, with each other and with the faults.
+    """
+    best = 0.0
+    leap = 0.0
+    step = LN_TEN
+    fault = 0.0
+    for i in range(b.n):
+        h = address(b.instance[i])
+        if k.fault[h.kind].source != SOURCE_NOISE:
+            s = h.evidence + log(k.fault[h.kind].rate * h.mass * again(x, k, b, h) + LEAST)
+            fault = s if s > fault else fault
+    while step < 10.0:
+        now = b.log_share - USUAL_LOG_SHARE
+        gain = (now * now - (now + step) * (now + step)) / (2.0 * LOG_SHARE_VAR)
+        for j in range(6):
+            M = variance(x, k, j, b.log_share) / span
+            louder = variance(x, k, j, b.log_share + step) / span
+            before = 1.0 + M * b.Lam[j]
+            after = 1.0 + louder * b.Lam[j]
+            gain += 0.5 * (b.lam[j] * b.lam[j] * (louder / after - M / before) - log(after / before))
+        if gain > best:
+            best = gain
+            leap = step
+        step += LN_TEN
+    return leap if best > fault + SURER else 0.0
+
+
+def variance(x: State, k: Parameters, j: int, log_share: float) -> float:
+    """Return the spectral density of an inertial noise: accelerometer, gyro."""
+    configured = k.gyro_noise if j >= 3 else k.accel_noise
+    return configured * configured * exp(log_share) + (x.noise[j - 3] if j >= 3 else x.noise[j + 3])
 
 
 def end_window(x: State, k: Parameters, b: Bank) -> None:
@@ -291,9 +331,13 @@ def end_window(x: State, k: Parameters, b: Bank) -> None:
         slope -= (1.0 - kept) * (b.log_share - USUAL_LOG_SHARE) / LOG_SHARE_VAR
         step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
         step = step if step < LARGEST_STEP else LARGEST_STEP
+        leap = find_leap(x, k, b, span)
+        step = leap if leap > step else step
         b.log_share += step if step > -LARGEST_STEP else -LARGEST_STEP
         if step >= 0.5 * LARGEST_STEP:
             b.hold_t = x.t + HELD
+            if b.acts != 0.0 and x.proven_t < b.hold_t:
+                x.proven_t = b.hold_t
         if b.acts != 0.0:
             x.doubt = exp(b.log_share)
     b.window_t = x.t
@@ -516,6 +560,13 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
 def take_off(x: State, o: Observation, aid: int) -> None:
     """Take off an innovation what declared faults add to it, that no error state holds."""
     b = address(o.bank[0])
+    if aid == AID_POSITION:
+        o.z[0] -= b.held[0]
+        o.z[1] -= b.held[1]
+    elif aid == AID_HEIGHT:
+        o.z[0] -= b.held[2]
+    elif aid == AID_BARO:
+        o.z[0] -= b.held[3]
     for kind in range(FAULTS):
         if b.declared[kind] == 0.0 or b.taken[kind][0] == 0.0:
             continue

@@ -110,6 +110,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
         o.dx[e] = 0.0
         for c in range(rows):
             o.dx[e] += h.U[c][e] * h.b[c]
+    open_offset(x, h)
     add_columns(x, h, rows)
     inject(x, o)
 
@@ -126,33 +127,35 @@ def carry(x: State, b: Bank, h: Instance, o: Observation) -> None:
     """Let the fault live on: extend its columns to the slow error of its source, or take it off."""
     kind = h.kind
     since = (x.t - h.t0) * 1e-9
+    for axis in range(4):
+        b.before[axis] = b.drift[axis]
     if kind == FAULT_POSITION_STEP:
-        h.U[0][E_GNSS] += 1.0
-        h.U[1][E_GNSS + 1] += 1.0
+        for c in range(2):
+            hold(b, c, h.b[c])
     elif kind == FAULT_POSITION_RAMP:
         for c in range(2):
-            h.U[c][E_GNSS + c] += since
+            hold(b, c, h.b[c] * since)
             drive_on(x, b, c, h.b[c], h.M[c][c])
     elif kind == FAULT_HEIGHT_STEP:
-        h.U[0][E_GNSS + 2] += 1.0
+        hold(b, 2, h.b[0])
     elif kind == FAULT_HEIGHT_RAMP:
-        h.U[0][E_GNSS + 2] += since
+        hold(b, 2, h.b[0] * since)
         drive_on(x, b, 2, h.b[0], h.M[0][0])
     elif kind == FAULT_VELOCITY_STEP:
         h.U[0][E_GNSS_VEL] += 1.0
         h.U[1][E_GNSS_VEL + 1] += 1.0
     elif kind == FAULT_FALL:
         h.U[0][E_GNSS_VEL + 2] += 1.0
-        h.U[0][E_GNSS + 2] += since
+        hold(b, 2, h.b[0] * since)
         drive_on(x, b, 2, h.b[0], h.M[0][0])
     elif kind == FAULT_CLIMB_STEP:
         h.U[0][E_GNSS_VEL + 2] += 1.0
     elif kind == FAULT_CLIMB_RAMP:
         h.U[0][E_GNSS_VEL + 2] += since
     elif kind == FAULT_BARO_STEP:
-        h.U[0][E_BARO] += 1.0
+        hold(b, 3, h.b[0])
     elif kind == FAULT_BARO_RAMP:
-        h.U[0][E_BARO] += since
+        hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
     elif kind == FAULT_BODY_FIELD:
         for c in range(3):
@@ -171,9 +174,32 @@ def carry(x: State, b: Bank, h: Instance, o: Observation) -> None:
             b.taken_var[kind][c] = h.M[c][c]
 
 
+def open_offset(x: State, h: Instance) -> None:
+    """Let what is not known of an offset that is held be a part of the slow error of its source."""
+    kind = h.kind
+    since = (x.t - h.t0) * 1e-9
+    if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP:
+        for c in range(2):
+            h.U[c][E_GNSS + c] += 1.0 if kind == FAULT_POSITION_STEP else since
+    elif kind == FAULT_HEIGHT_STEP:
+        h.U[0][E_GNSS + 2] += 1.0
+    elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
+        h.U[0][E_GNSS + 2] += since
+    elif kind == FAULT_BARO_STEP:
+        h.U[0][E_BARO] += 1.0
+    elif kind == FAULT_BARO_RAMP:
+        h.U[0][E_BARO] += since
+
+
+def hold(b: Bank, axis: int, offset: float) -> None:
+    """Hold an offset that was found; what jumps has ended to slide."""
+    b.held[axis] += offset
+    b.drift[axis] = 0.0
+
+
 def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
     """Let a slide go on by a rate that was found; one that ends has the same against it."""
-    b.drift[axis] += rate
+    b.drift[axis] = b.before[axis] + rate
     b.drift_var[axis] = var
     if b.drift[axis] * b.drift[axis] < 9.0 * var:
         b.drift[axis] = 0.0
@@ -190,12 +216,8 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
             now = (x.t - b.drift_t[axis]) * 1e-9
             var = b.drift_var[axis] * (now * now - before * before)
             b.driven_t[axis] = x.t
-            if axis < 3:
-                x.gnss_offset[axis] += b.drift[axis] * dt
-                add_variance(x, E_GNSS + axis, var)
-            else:
-                x.baro_offset += b.drift[axis] * dt
-                add_variance(x, E_BARO, var)
+            b.held[axis] += b.drift[axis] * dt
+            add_variance(x, E_GNSS + axis if axis < 3 else E_BARO, var)
 
 
 def mix(x: State, k: Parameters, b: Bank) -> None:
