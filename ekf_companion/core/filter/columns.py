@@ -73,7 +73,7 @@ def follow(x: State, b: Bank) -> None:
     """Let all columns follow the state's motion, and what was drawn anew meanwhile."""
     for i in range(b.n):
         h = address(b.instance[i])
-        for c in range(3):
+        for c in range(h.rows):
             follow_column(b, h.U[c])
     for e in range(N):
         if x.redrawn[e] != b.redrawn[e]:
@@ -82,7 +82,7 @@ def follow(x: State, b: Bank) -> None:
             is_offset = cython.declare(cython.bint, e == E_BARO or e >= E_GNSS_VEL + 3)
             for i in range(b.n):
                 h = address(b.instance[i])
-                for c in range(3):
+                for c in range(h.rows):
                     h.U[c][e] = h.U[c][E_POS + 2] if is_offset else 0.0
     stand(b)
 
@@ -123,7 +123,7 @@ def observe(b: Bank, o: Observation) -> None:
             if slope != 0.0:
                 for i in range(b.n):
                     h = address(b.instance[i])
-                    for c in range(3):
+                    for c in range(h.rows):
                         b.T[i][r][c] += slope * h.U[c][e]
 
 
@@ -140,7 +140,7 @@ def correct(x: State, o: Observation) -> None:
     b.has_T = 0
     for i in range(b.n):
         h = address(b.instance[i])
-        for c in range(3):
+        for c in range(h.rows):
             delay = h.U[c][E_DELAY]
             for r in range(o.rows):
                 s = b.T[i][r][c]
@@ -164,7 +164,7 @@ def correct_yaw(x: State, o: Observation) -> None:
     b.has_T = 0
     for i in range(b.n):
         h = address(b.instance[i])
-        for c in range(3):
+        for c in range(h.rows):
             for e in range(N):
                 h.U[c][e] -= o.gain[e] * b.T[i][0][c]
             turn(h.U[c], o.dx)
@@ -178,7 +178,7 @@ def correct_delay(x: State, o: Observation, gain: float) -> None:
     b.has_T = 0
     for i in range(b.n):
         h = address(b.instance[i])
-        for c in range(3):
+        for c in range(h.rows):
             h.U[c][E_DELAY] -= gain * b.T[i][0][c]
 
 

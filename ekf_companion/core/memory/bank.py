@@ -11,6 +11,8 @@ from ekf_companion.core.memory.enums import AIDS, FAULTS, SOURCES, N
 
 INSTANCES = 192
 """Most that are kept; the least probable goes where there is no room."""
+FOUND = 32
+"""Faults that are kept to be told."""
 MOVING = 15
 """Error states that a transition mixes: attitude, velocity, position, both biases."""
 
@@ -37,13 +39,28 @@ class Instance:
     """Mean NIS a row of the last readings that it shows in."""
     readings: Real
     """How many there were."""
-    spare: Annotated[Vector, 5]
+    rows: Count
+    """Components of b."""
     b: Annotated[Vector, 3]
     """The fault's mean, in its unit."""
     M: Annotated[Vector, 3, 3]
     """Its covariance."""
     U: Annotated[Vector, 3, N]
     """The state's error by each component: the right estimate is x + U b."""
+
+
+@struct
+class Found:
+    """A fault that was beyond doubt."""
+
+    kind: Count
+    """:class:`~.enums.Fault`."""
+    onset: Real
+    """ns."""
+    until: Real
+    """When it was so last, ns."""
+    b: Annotated[Vector, 3]
+    """Its mean then, in its unit."""
 
 
 @struct
@@ -64,8 +81,6 @@ class Trial:
 class Bank:
     """All instances; how the state has moved since their columns followed it; who repeats."""
 
-    t: Real
-    """Of the last reading that was judged, ns."""
     resets: Real
     """Of the state, when they were counted last."""
     redrawn: Annotated[Vector, N]
@@ -74,6 +89,8 @@ class Bank:
     """Of the last fix by which instances began, ns."""
     begun_t: Annotated[Vector, AIDS]
     """When the last ones of each spacing began, ns."""
+    weighed_t: Annotated[Vector, AIDS]
+    """When a reading of each aid was weighed last, ns."""
     Phi: Annotated[Vector, MOVING, MOVING]
     """Transition since the columns followed."""
     faded: Annotated[Vector, 3]
@@ -93,8 +110,6 @@ class Bank:
     """Since when a source is beyond doubt, ns."""
     declared: Annotated[Vector, FAULTS]
     """How often each kind was."""
-    declared_t: Real
-    """When the last one was, ns."""
     held: Annotated[Vector, 4]
     """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
     drift: Annotated[Vector, 4]
@@ -129,7 +144,9 @@ class Bank:
     """What the mixture adds to attitude, velocity, position."""
     spread: Annotated[Vector, 9, 9]
     """What it adds to their covariance."""
-    spare: Annotated[Vector, 64]
+    found: Annotated[Structs, Found, FOUND]
+    """What was beyond doubt for long enough; the newest of many takes the place of the last."""
+    finds: Count
     n: Count
     has_T: Count
     """T is of the observation that is being judged."""

@@ -173,14 +173,10 @@ class Fault(IntEnum):
     FALL = 22
     """Height and vertical velocity are led away together."""
     CLIMB_RAMP = 23
-    BARO_SCALE = 24
-    """By the height above where it was found."""
-    SETTLE = 25
-    """The position settles after the first fix."""
-    SETTLE_HEIGHT = 26
-    ACCEL_NOISE = 27
+    """The error of the vertical velocity grows."""
+    ACCEL_NOISE = 24
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 28
+    GYRO_NOISE = 25
 
 
 class Source(IntEnum):
@@ -203,6 +199,16 @@ class Source(IntEnum):
     LEVER = 12
     FALL = 13
     NOISE = 14
+
+
+class Weigh(IntEnum):
+    """What the fault hypotheses are for."""
+
+    OFF = 0
+    REPORT = 1
+    """They tell what they find, and change nothing."""
+    ACT = 2
+    """They decide."""
 
 
 class Shows(IntEnum):
@@ -261,6 +267,7 @@ ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "VOICE": Voice,
     "FAULT": Fault,
     "SHOWS": Shows,
+    "WEIGH": Weigh,
     "SOURCE": Source,
 }
 """Enumerations that the kernel knows, by the prefix of their members: ``MODE_LEVEL``."""

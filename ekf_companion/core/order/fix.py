@@ -34,6 +34,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VERDICT_SUSPECT,
     VOICE_HEIGHT,
     VOICE_VELOCITY,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, GnssRow, Observation, Scratch
@@ -54,8 +55,8 @@ from cython.cimports.ekf_companion.core.trust import (
     doubt,
     force,
     gate,
-    hypotheses,
     repair,
+    shape,
     slide,
     voices,
 )
@@ -88,8 +89,6 @@ LARGEST_DRIFT = cython.declare(cython.double, (OWN_DRIFT / 3.0) ** 2)
 """Variance of which that is three sigma, m^2/s^2."""
 FADING = cython.declare(cython.double, 9.0)
 """Square of an offset, of its usual variance, beyond which it is a fault's."""
-ACTS = cython.declare(cython.double, 2.0)
-"""The bank decides."""
 LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
 """Longest time for which a position that drift cannot explain is refused, s."""
 SHORTEST_RUN = cython.declare(cython.double, 3.0)
@@ -114,10 +113,10 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         return True
     learn_field(x, values)
     read_fix(x, k, fix, values)
-    if x.origin.is_known != 0.0 and k.weighs_faults < ACTS:
+    if x.origin.is_known != 0.0 and k.weighs_faults != WEIGH_ACT:
         force.compare(x, fix)
         slide.compare_fixes(x, fix)
-    if k.weighs_faults < ACTS:
+    if k.weighs_faults != WEIGH_ACT:
         voices.compare_climbs(x, fix)
     if x.voices.loser == VOICE_VELOCITY:
         fix.vel_n[2] = NAN
@@ -155,7 +154,7 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     """Correct velocity, position and height. Return False if the filter must start over."""
     fix = address(w.fix)
     o = address(w.observation)
-    if k.weighs_faults == ACTS:
+    if k.weighs_faults == WEIGH_ACT:
         repair.drive(x, address(o.bank[0]), 0, 2)
         widen_offsets(x, address(o.bank[0]))
     # What is slow of their error is no larger than what has been learnt
@@ -184,7 +183,7 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             return True
     fuse_position(x, k, w)
     fuse_height(x, k, w)
-    if k.weighs_faults == ACTS:
+    if o.has_bank:
         repair.decide(x, k, o)
     return True
 
@@ -266,8 +265,8 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     """Fuse the receiver's observation if it passes the gate, and learn how white its error is."""
     o = address(w.observation)
     fix = address(w.fix)
-    if k.weighs_faults == ACTS:
-        hypotheses.take_off(x, o, aid)
+    if k.weighs_faults == WEIGH_ACT:
+        shape.take_off(x, o, aid)
         nis = innovate(x, o)
         if nis <= k.gate[o.rows - 1]:
             learn_white_share(x, o, aid, fix.stated_var[aid])

@@ -132,7 +132,7 @@ class Timeline:
         self.w.observation.has_bank = has_bank
         self.w.observation.bank = self.banks
         if has_bank:
-            self.banks[0].acts = 1.0 if self.k.weighs_faults == 2.0 else 0.0
+            self.banks[0].acts = 1.0 if self.k.weighs_faults == enums.WEIGH_ACT else 0.0
         self.expected_t = EVER
         self.late_last = np.zeros(len(self.delay))
         self.late_next = np.full(len(self.delay), -1.0)
@@ -756,7 +756,7 @@ class Timeline:
         w = address(self.w)
         out = as_estimate(self.out)
         status = write_estimate(self.x, self.k, self.y, w, out)
-        write_odometry(self.x, out, w, as_odometry(self.numbers))
+        write_odometry(self.x, self.y, out, w, as_odometry(self.numbers))
         for i in range(ODOMETRY):
             self.singles[i] = self.numbers[i]
         return status, int(self.x.resets), bytes(self.singles)
@@ -794,22 +794,23 @@ class Timeline:
 
         Empty without ``weigh_faults``. The onset is a stamp, ns; the size is in the fault's unit.
         """
-        found = []
+        held = []
         if self.w.observation.has_bank:
             for i in range(self.banks[0].n):
                 h = address(self.banks[0].instance[i])
                 onset = int(h.t0) + self.epoch_ns
-                found.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
-        return found
+                held.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
+        return held
 
-    def declarations(self) -> np.ndarray:
-        """Return how often each kind of fault was declared, shape (FAULTS,), and the log share."""
-        counts = np.zeros(enums.FAULTS + 1)
+    def found(self) -> list[tuple[int, int, int, tuple[float, float, float]]]:
+        """Return the faults that were beyond doubt: kind, onset, until when (stamps, ns), size."""
+        told = []
         if self.w.observation.has_bank:
-            for kind in range(enums.FAULTS):
-                counts[kind] = self.banks[0].declared[kind]
-            counts[enums.FAULTS] = self.banks[0].log_share
-        return counts
+            for i in range(self.banks[0].finds):
+                one = address(self.banks[0].found[i])
+                onset, until = int(one.onset) + self.epoch_ns, int(one.until) + self.epoch_ns
+                told.append((int(one.kind), onset, until, (one.b[0], one.b[1], one.b[2])))
+        return told
 
     @property
     def reset_reason(self) -> int:

@@ -32,6 +32,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VERDICT_DISTURBED,
     VERDICT_FUSED,
     VERDICT_SUPERSEDED,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -169,7 +170,7 @@ def fuse_azimuth(
         if r.has_iron != 0.0:
             leap.keep(x, z)
         return
-    if k.weighs_faults == 2.0:
+    if k.weighs_faults == WEIGH_ACT:
         return
     if r.has_iron != 0.0:
         leap.look(x, k, z)

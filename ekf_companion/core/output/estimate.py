@@ -5,6 +5,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import rotate, to_dcm, wrap
+from cython.cimports.ekf_companion.core.filter.slow_error import add_spread, copy_moving
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
 from cython.cimports.ekf_companion.core.memory.constants import NAN
@@ -57,6 +58,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VOICE_HEIGHT,
     VOICE_NONE,
     VOICE_VELOCITY,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Estimate, Motion, Scratch
@@ -96,7 +98,7 @@ def find_reasons(x: State, k: Parameters) -> int:
     if not x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] <= k.limit_pos * k.limit_pos:
         reasons |= REASON_UNCERTAIN
     late = late_fix(x)
-    is_judged = cython.declare(cython.bint, k.weighs_faults == 2.0)
+    is_judged = cython.declare(cython.bint, k.weighs_faults == WEIGH_ACT)
     if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
         reasons |= REASON_UNAIDED
     if x.needs_reset != 0.0:
@@ -168,15 +170,11 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     status = find_status(x, reasons)
     copy_nominal(y, x)
     y.origin = x.origin
-    for i in range(9):
-        for j in range(9):
-            y.P[i][j] = x.P[i][j]
-    if k.weighs_faults == 2.0 and x.mode == MODE_NAVIGATE:
+    copy_moving(y, x)
+    if k.weighs_faults == WEIGH_ACT and x.mode == MODE_NAVIGATE:
         b = address(w.observation.bank[0])
         repair.mix(x, k, b)
-        for i in range(9):
-            for j in range(9):
-                y.P[i][j] += b.spread[i][j]
+        add_spread(y, b)
         rotate(y.q_nb, b.mean[0], b.mean[1], b.mean[2])
         for i in range(3):
             y.vel_n[i] += b.mean[3 + i]

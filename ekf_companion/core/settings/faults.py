@@ -47,9 +47,6 @@ FAULTS = {
     # of the barometer: m, m/s, m at 15 m/s
     Fault.FALL: Prior(Source.FALL, 1, 1.0, 30.0, 0.1, RAMP, VERTICAL),
     Fault.CLIMB_RAMP: Prior(Source.CLIMB, 1, 0.3, 3.0, 0.02, RAMP, VERTICAL),
-    Fault.SETTLE: Prior(Source.POSITION, 2, 10.0, 10.0, 0.0, RAMP, LEVEL),
-    Fault.SETTLE_HEIGHT: Prior(Source.HEIGHT, 1, 10.0, 10.0, 0.0, RAMP, VERTICAL),
-    Fault.BARO_SCALE: Prior(Source.BARO, 1, 0.05, 0.05, 0.05, RAMP, VERTICAL),
     Fault.BARO_STEP: Prior(Source.BARO, 1, 5.0, 100.0, 0.1, STEP, VERTICAL),
     Fault.BARO_RAMP: Prior(Source.BARO, 1, 0.3, 3.0, 0.3, RAMP, VERTICAL),
     Fault.BARO_SPEED: Prior(Source.BARO, 1, 2.0, 2.0, 0.1, RAMP, VERTICAL),

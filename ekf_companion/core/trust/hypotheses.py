@@ -27,39 +27,19 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
-    E_ATT,
-    E_BA,
-    E_BG,
-    E_DELAY,
-    E_IRON,
-    E_VEL,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
-    FAULT_BARO_RAMP,
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
     FAULT_CLIMB_RAMP,
-    FAULT_CLIMB_STEP,
     FAULT_DELAY,
-    FAULT_DRAG,
-    FAULT_FALL,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
-    FAULT_GYRO_STEP,
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
-    FAULT_HEIGHT_STEP,
     FAULT_KICK,
-    FAULT_LEVER,
-    FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
-    FAULT_TILT,
-    FAULT_VELOCITY_LAG,
-    FAULT_VELOCITY_SCALE,
-    FAULT_VELOCITY_STEP,
-    FAULT_YAW,
-    FAULTS,
     MODE_NAVIGATE,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
@@ -67,10 +47,10 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SOURCES,
     N,
 )
-from cython.cimports.ekf_companion.core.memory.overlay import Dcm
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import score, shape
 from cython.cimports.libc.math import exp, log
 
 GATE = cython.declare(cython.double, 9.0)
@@ -99,16 +79,6 @@ LARGEST = cython.declare(cython.double, 3.0)
 WINDOW = cython.declare(cython.double, 0.95e9)
 """Time over which the inertial noise is learnt as a constant, ns: over ten seconds a slow wave is
 none."""
-LONGEST_WINDOW = cython.declare(cython.double, 2.0)
-"""s; after a silence of the fixes a window says nothing."""
-NOISE_MEMORY = cython.declare(cython.double, 60.0)
-"""Time constant with which what the noise was is forgotten, s."""
-USUAL_LOG_SHARE = cython.declare(cython.double, -3.5)
-"""ln 0.03: of what is configured, beside what the samples show themselves."""
-LOG_SHARE_VAR = cython.declare(cython.double, 4.0)
-"""Log-normal prior: seven times more or less."""
-LARGEST_STEP = cython.declare(cython.double, 0.7)
-"""Largest step of that logarithm: a window doubles the variance at most."""
 RECENT = cython.declare(cython.double, 10.0)
 """Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
 LN_TEN = cython.declare(cython.double, 2.302585092994046)
@@ -116,12 +86,11 @@ AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed: a receiver among houses, a loose plug."""
 FADES = cython.declare(cython.double, 60e9)
 """ns."""
-HELD = cython.declare(cython.double, 1.2e9)
-"""How long not, ns: until the next window has shown whether that was all."""
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
-FAST = cython.declare(cython.double, 225.0)
-"""Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
+SPACING = cython.declare(cython.double, 0.095e9)
+"""Least time between two readings of one aid that are weighed, ns: a compass at 50 Hz says little
+more than at 10. They correct the state, and so the columns, all the same."""
 
 
 def begin(b: Bank) -> None:
@@ -129,16 +98,15 @@ def begin(b: Bank) -> None:
     b.n = 0
     b.has_T = 0
     b.fix_t = NEVER
-    b.window_t = NEVER
     b.nothing = 1.0
     for source in range(SOURCES):
         b.since[source] = NEVER
-    if b.information == 0.0:
-        b.log_share = USUAL_LOG_SHARE
     for aid in range(AIDS):
         b.begun_t[aid] = NEVER
+        b.weighed_t[aid] = NEVER
         if not b.common[aid] >= 1.0:
             b.common[aid] = 1.0
+    score.begin(b)
     columns.stand(b)
 
 
@@ -151,26 +119,30 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     if x.mode != MODE_NAVIGATE or x.needs_reset != 0.0 or x.has_yaw == 0.0:
         return
     columns.follow(x, b)
-    begin_instances(x, k, b, aid)
+    is_weighed = cython.declare(
+        cython.bint, aid <= AID_VELOCITY or x.t - b.weighed_t[aid] >= SPACING
+    )
+    if is_weighed:
+        begin_instances(x, k, b, aid)
+        b.weighed_t[aid] = x.t
     columns.observe(b, o)
     b.has_T = 1
-    b.t = x.t
+    for i in range(b.n):
+        h = address(b.instance[i])
+        shape.add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
+    if not is_weighed:
+        return
     share = 1.0 / learn_common(x, b, o, aid)
     nothing = 0.0
     for r in range(o.rows):
         nothing += o.y[r] * o.y[r]
     nothing = cost(nothing, o.rows)
     for i in range(b.n):
-        h = address(b.instance[i])
-        add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
         weigh_reading(k, b, i, o, aid, nothing, share)
     thin(x, b)
     find_posterior(x, k, b)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
-        for c in range(2):
-            b.field_slope[c] = 0.0
-            for i in range(3):
-                b.field_slope[c] += o.H[0][E_IRON + i] * o.C_nb[c][i]
+        shape.keep_field_slope(b, o)
 
 
 def cost(nis: float, rows: int) -> float:
@@ -186,7 +158,7 @@ def weigh_reading(
     """Add what a reading says to the evidence of an instance, and learn its b from it."""
     h = address(b.instance[i])
     to = address(b.trial)
-    rows = k.fault[h.kind].rows
+    rows = h.rows
     shown = 0.0
     for r in range(o.rows):
         for c in range(rows):
@@ -199,7 +171,7 @@ def weigh_reading(
         return
     if k.fault[h.kind].source == SOURCE_NOISE:
         if aid != AID_HEADING:
-            add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
+            score.add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
         return
     nis = try_reading(h, to, o, rows, 1.0)
     if nis > GATE * o.rows and h.is_wide == 0.0:
@@ -254,100 +226,6 @@ def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float)
     return nis
 
 
-def add_to_window(b: Bank, first: int, o: Observation) -> None:
-    """Add a reading to the window by which the inertial noise is learnt."""
-    for r in range(o.rows):
-        y = o.y[r]
-        y = LARGEST if y > LARGEST else y
-        y = -LARGEST if y < -LARGEST else y
-        for c in range(3):
-            b.lam[first + c] += b.trial.T[r][c] * y
-            b.Lam[first + c] += b.trial.T[r][c] * b.trial.T[r][c]
-
-
-def find_leap(x: State, k: Parameters, b: Bank, span: float) -> float:
-    """Return by how much the logarithm of the inertial noise leaps, by the last window; 0: it does not.
-
-    Far above what is taken the slope of the likelihood is flat; so the likelihoods themselves are
-    compared, of ten times, a hundred times and so on, with each other and with the faults.
-    """
-    best = 0.0
-    leap = 0.0
-    step = LN_TEN
-    fault = 0.0
-    for i in range(b.n):
-        h = address(b.instance[i])
-        if k.fault[h.kind].source != SOURCE_NOISE:
-            s = h.evidence + log(k.fault[h.kind].rate * h.mass * again(x, k, b, h) + LEAST)
-            fault = s if s > fault else fault
-    while step < 10.0:
-        now = b.log_share - USUAL_LOG_SHARE
-        gain = (now * now - (now + step) * (now + step)) / (2.0 * LOG_SHARE_VAR)
-        for j in range(6):
-            M = variance(x, k, j, b.log_share) / span
-            louder = variance(x, k, j, b.log_share + step) / span
-            before = 1.0 + M * b.Lam[j]
-            after = 1.0 + louder * b.Lam[j]
-            gain += 0.5 * (b.lam[j] * b.lam[j] * (louder / after - M / before) - log(after / before))
-        if gain > best:
-            best = gain
-            leap = step
-        step += LN_TEN
-    return leap if best > fault + SURER else 0.0
-
-
-def variance(x: State, k: Parameters, j: int, log_share: float) -> float:
-    """Return the spectral density of an inertial noise: accelerometer, gyro."""
-    configured = k.gyro_noise if j >= 3 else k.accel_noise
-    return configured * configured * exp(log_share) + (x.noise[j - 3] if j >= 3 else x.noise[j + 3])
-
-
-def end_window(x: State, k: Parameters, b: Bank) -> None:
-    """Learn the share of the configured inertial noise from a window, and begin another.
-
-    A noise is a bias that is constant over its window: the slope of the log-likelihood by the
-    logarithm of its variance is ``(M lam^2 - M Lam) / 2``, whose mean is zero where M is right.
-    """
-    span = (x.t - b.window_t) * 1e-9
-    if b.window_t > NEVER and span < LONGEST_WINDOW:
-        share = exp(b.log_share)
-        slope = 0.0
-        information = 0.0
-        for j in range(6):
-            configured = k.gyro_noise if j >= 3 else k.accel_noise
-            configured *= configured * share
-            learnt = x.noise[j - 3] if j >= 3 else x.noise[j + 3]
-            part = configured / (configured + learnt)
-            M = (configured + learnt) / span
-            square = b.lam[j] * b.lam[j]
-            most = 9.0 * (b.Lam[j] + M * b.Lam[j] * b.Lam[j])
-            square = square if square < most else most
-            # as far as it is known, a mean of all that may be
-            scale = part / (1.0 + M * b.Lam[j])
-            slope += 0.5 * scale * M * (square / (1.0 + M * b.Lam[j]) - b.Lam[j])
-            information += 0.5 * scale * scale * M * M * b.Lam[j] * b.Lam[j]
-        kept = exp(-span / NOISE_MEMORY)
-        b.information = kept * b.information + information
-        slope -= (1.0 - kept) * (b.log_share - USUAL_LOG_SHARE) / LOG_SHARE_VAR
-        step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
-        step = step if step < LARGEST_STEP else LARGEST_STEP
-        leap = find_leap(x, k, b, span)
-        step = leap if leap > step else step
-        b.log_share += step if step > -LARGEST_STEP else -LARGEST_STEP
-        if step >= 0.5 * LARGEST_STEP:
-            b.hold_t = x.t + HELD
-            if b.acts != 0.0 and x.proven_t < b.hold_t:
-                x.proven_t = b.hold_t
-        if b.acts != 0.0:
-            x.doubt = exp(b.log_share)
-    b.window_t = x.t
-    for j in range(6):
-        b.lam[j] = 0.0
-        b.Lam[j] = 0.0
-    begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
-    begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
-
-
 def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
     """Learn how many readings of an aid in a row say the same; return it, at least one.
 
@@ -386,7 +264,9 @@ def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
         b.fix_t = x.fix_t
         if not x.t - b.window_t < WINDOW:
-            end_window(x, k, b)
+            score.end_window(x, k, b)
+            begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
+            begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
         begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_CLIMB_RAMP)
@@ -412,6 +292,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
     h = address(b.instance[b.n])
     b.n += 1
     h.kind = kind
+    h.rows = k.fault[kind].rows
     h.level = 0
     h.t0 = x.t
     h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
@@ -427,20 +308,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
         h.M[c][c] = k.fault[kind].std * k.fault[kind].std
         for e in range(N):
             h.U[c][e] = 0.0
-    if kind == FAULT_ACCEL_STEP or kind == FAULT_ACCEL_NOISE:
-        for c in range(3):
-            h.U[c][E_BA + c] = 1.0
-    elif kind == FAULT_GYRO_STEP or kind == FAULT_GYRO_NOISE:
-        for c in range(3):
-            h.U[c][E_BG + c] = 1.0
-    elif kind == FAULT_KICK:
-        for c in range(3):
-            h.U[c][E_VEL + c] = 1.0
-    elif kind == FAULT_TILT:
-        h.U[0][E_ATT] = 1.0
-        h.U[1][E_ATT + 1] = 1.0
-    elif kind == FAULT_YAW:
-        h.U[0][E_ATT + 2] = 1.0
+    shape.begin(h)
 
 
 def fold(b: Bank, kind: int, rows: int) -> None:
@@ -557,93 +425,3 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
             h.p *= 1.0 + level / none
 
 
-def take_off(x: State, o: Observation, aid: int) -> None:
-    """Take off an innovation what declared faults add to it, that no error state holds."""
-    b = address(o.bank[0])
-    if aid == AID_POSITION:
-        o.z[0] -= b.held[0]
-        o.z[1] -= b.held[1]
-    elif aid == AID_HEIGHT:
-        o.z[0] -= b.held[2]
-    elif aid == AID_BARO:
-        o.z[0] -= b.held[3]
-    for kind in range(FAULTS):
-        if b.declared[kind] == 0.0 or b.taken[kind][0] == 0.0:
-            continue
-        for r in range(3):
-            for c in range(3):
-                b.trial.T[r][c] = 0.0
-        add_direct(x, kind, 0.0, o, aid, b.trial.T)
-        for r in range(o.rows):
-            for c in range(3):
-                o.z[r] -= b.trial.T[r][c] * b.taken[kind][c]
-                o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
-
-
-def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: Dcm) -> None:
-    """Add to T what a fault that began some seconds ago adds to the reading itself: D."""
-    if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP or kind == FAULT_DRAG:
-        if aid == AID_POSITION:
-            for r in range(2):
-                T[r][r] += 1.0 if kind == FAULT_POSITION_STEP else since
-        elif aid == AID_VELOCITY and kind == FAULT_DRAG:
-            for r in range(2):
-                T[r][r] += 1.0
-    elif kind == FAULT_HEIGHT_STEP or kind == FAULT_HEIGHT_RAMP:
-        if aid == AID_HEIGHT:
-            T[0][0] += 1.0 if kind == FAULT_HEIGHT_STEP else since
-    elif kind == FAULT_VELOCITY_STEP:
-        if aid == AID_VELOCITY:
-            for r in range(2):
-                T[r][r] += 1.0
-    elif kind == FAULT_FALL:
-        if aid == AID_HEIGHT:
-            T[0][0] += since
-        elif aid == AID_VELOCITY and o.rows == 3:
-            T[2][0] += 1.0
-    elif kind == FAULT_CLIMB_RAMP:
-        if aid == AID_VELOCITY and o.rows == 3:
-            T[2][0] += since
-    elif kind == FAULT_CLIMB_STEP:
-        if aid == AID_VELOCITY and o.rows == 3:
-            T[2][0] += 1.0
-    elif kind == FAULT_VELOCITY_SCALE:
-        if aid == AID_VELOCITY:
-            for r in range(o.rows):
-                T[r][0] += x.vel_n[r]
-    elif kind == FAULT_VELOCITY_LAG:
-        if aid == AID_VELOCITY:
-            for r in range(o.rows):
-                T[r][0] -= o.then.accel_n[r]
-    elif kind == FAULT_BARO_STEP or kind == FAULT_BARO_RAMP:
-        if aid == AID_BARO:
-            T[0][0] += 1.0 if kind == FAULT_BARO_STEP else since
-    elif kind == FAULT_BARO_SPEED:
-        if aid == AID_BARO:
-            speed = 0.0
-            for i in range(3):
-                speed += x.vel_n[i] * x.vel_n[i]
-            T[0][0] += speed / FAST
-    elif kind == FAULT_HEADING_STEP:
-        if aid == AID_HEADING and x.azimuth < AZIMUTH_MAGNETIC:
-            T[0][0] += 1.0
-    elif kind == FAULT_FIELD:
-        if aid == AID_HEADING:
-            for c in range(2):
-                for i in range(3):
-                    T[0][c] += o.H[0][E_IRON + i] * o.C_nb[c][i]
-    elif kind == FAULT_BODY_FIELD:
-        if aid == AID_HEADING:
-            for c in range(3):
-                T[0][c] += o.H[0][E_IRON + c]
-    elif kind == FAULT_DELAY:
-        if aid <= AID_VELOCITY:
-            for r in range(o.rows):
-                T[r][0] += o.H[r][E_DELAY]
-    elif kind == FAULT_LEVER:
-        for c in range(3):
-            if aid == AID_HEIGHT:
-                T[0][c] += o.C_nb[2][c]
-            elif aid == AID_POSITION or aid == AID_VELOCITY:
-                for r in range(o.rows):
-                    T[r][c] += o.C_nb[r][c] if aid == AID_POSITION else o.turn_nb[r][c]

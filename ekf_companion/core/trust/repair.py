@@ -15,19 +15,15 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
-from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
+from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
-    AID_BARO,
-    AID_HEIGHT,
-    AID_POSITION,
     E_BARO,
     E_DELAY,
     E_GNSS,
     E_GNSS_VEL,
     E_HEADING,
     E_IRON,
-    E_POS,
     FAULT_BARO_RAMP,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
@@ -42,11 +38,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
     FAULT_VELOCITY_STEP,
-    FAULTS,
     SHOWS_ALL,
     SOURCE_DRAG,
     SOURCE_NOISE,
     SOURCES,
+    WEIGH_ACT,
     N,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -60,6 +56,8 @@ PATIENCE = cython.declare(cython.double, 3.0)
 """Fixes for which it must be so."""
 SHORTEST = cython.declare(cython.double, 0.6e9)
 """And for at least so long, ns."""
+SAME_FAULT = cython.declare(cython.double, 5e9)
+"""Time, ns, after which a fault of the same kind is told as another one."""
 UNEXPLAINED = cython.declare(cython.double, 3.0)
 """Mean NIS a row of the last readings beyond which a fault does not explain them, and waits."""
 UNLIKELY = cython.declare(cython.double, 1e-3)
@@ -89,9 +87,27 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
         elif x.t - b.since[source] >= (
             patience if b.instance[best].recent < UNEXPLAINED else 2.0 * patience
         ):
-            b.since[source] = NEVER
-            repair(x, k, o, best)
-            return
+            tell(x, b, address(b.instance[best]))
+            if k.weighs_faults == WEIGH_ACT:
+                b.since[source] = NEVER
+                repair(x, k, o, best)
+                return
+
+
+def tell(x: State, b: Bank, h: Instance) -> None:
+    """Keep what was found; the same fault, found again, has gone on."""
+    last = cython.declare(cython.Py_ssize_t, -1)
+    for i in range(b.finds):
+        if b.found[i].kind == h.kind and x.t - b.found[i].until < SAME_FAULT:
+            last = i
+    if last < 0:
+        last = b.finds if b.finds < FOUND else FOUND - 1
+        b.finds = last + 1
+        b.found[last].kind = h.kind
+        b.found[last].onset = h.t0
+    b.found[last].until = x.t
+    for c in range(3):
+        b.found[last].b[c] = h.b[c]
 
 
 def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
@@ -103,7 +119,6 @@ def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
     shows = k.fault[kind].shows
     columns.follow(x, b)
     b.declared[kind] += 1.0
-    b.declared_t = x.t
     b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h, o)
     for e in range(N):
