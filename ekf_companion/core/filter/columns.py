@@ -89,11 +89,7 @@ def follow(x: State, b: Bank) -> None:
 
 def follow_column(b: Bank, u: Vector) -> None:
     """Let one column follow."""
-    for i in range(9):
-        s = 0.0
-        for j in range(MOVING):
-            s += b.Phi[i][j] * u[j]
-        b.work[i] = s
+    look_ahead(b, u, b.work)
     for i in range(9):
         u[i] = b.work[i]
     u[E_HEADING] *= b.faded[0]
@@ -104,11 +100,25 @@ def follow_column(b: Bank, u: Vector) -> None:
 
 def look_ahead(b: Bank, u: Vector, out: Vector) -> None:
     """Write attitude, velocity and position of a column as of now; the column stays behind."""
-    for i in range(9):
-        s = 0.0
-        for j in range(MOVING):
-            s += b.Phi[i][j] * u[j]
-        out[i] = s
+    for i in range(3):
+        turn = u[E_ATT + i]
+        vel = u[E_VEL + i]
+        pos = u[E_POS + i] + b.Phi[E_POS + i][E_VEL + i] * vel
+        for r in range(3):
+            turn += b.Phi[E_ATT + i][E_BG + r] * u[E_BG + r]
+            vel += (
+                b.Phi[E_VEL + i][E_ATT + r] * u[E_ATT + r]
+                + b.Phi[E_VEL + i][E_BG + r] * u[E_BG + r]
+                + b.Phi[E_VEL + i][E_BA + r] * u[E_BA + r]
+            )
+            pos += (
+                b.Phi[E_POS + i][E_ATT + r] * u[E_ATT + r]
+                + b.Phi[E_POS + i][E_BG + r] * u[E_BG + r]
+                + b.Phi[E_POS + i][E_BA + r] * u[E_BA + r]
+            )
+        out[E_ATT + i] = turn
+        out[E_VEL + i] = vel
+        out[E_POS + i] = pos
 
 
 def observe(b: Bank, o: Observation) -> None:
@@ -134,10 +144,10 @@ def correct(x: State, o: Observation) -> None:
     with, ``o.dx`` what the state was moved by.
     """
     b = address(o.bank[0])
-    if b.has_T == 0:
+    if b.is_observed == 0:
         follow(x, b)
         observe(b, o)
-    b.has_T = 0
+    b.is_observed = 0
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):
@@ -158,10 +168,10 @@ def correct(x: State, o: Observation) -> None:
 def correct_yaw(x: State, o: Observation) -> None:
     """The same of a correction of yaw alone, by ``o.gain``."""
     b = address(o.bank[0])
-    if b.has_T == 0:
+    if b.is_observed == 0:
         follow(x, b)
         observe(b, o)
-    b.has_T = 0
+    b.is_observed = 0
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):
@@ -175,7 +185,7 @@ def correct_delay(x: State, o: Observation, gain: float) -> None:
     b = address(o.bank[0])
     follow(x, b)
     observe(b, o)
-    b.has_T = 0
+    b.is_observed = 0
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):

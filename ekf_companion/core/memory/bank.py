@@ -148,7 +148,7 @@ class Bank:
     """What was beyond doubt for long enough; the newest of many takes the place of the last."""
     finds: Count
     n: Count
-    has_T: Count
+    is_observed: Count
     """T is of the observation that is being judged."""
     instance: Annotated[Structs, Instance, INSTANCES]
     T: Annotated[Vector, INSTANCES, 3, 3]

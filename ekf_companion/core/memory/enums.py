@@ -172,11 +172,9 @@ class Fault(IntEnum):
     """The antenna is elsewhere."""
     FALL = 22
     """Height and vertical velocity are led away together."""
-    CLIMB_RAMP = 23
-    """The error of the vertical velocity grows."""
-    ACCEL_NOISE = 24
+    ACCEL_NOISE = 23
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 25
+    GYRO_NOISE = 24
 
 
 class Source(IntEnum):

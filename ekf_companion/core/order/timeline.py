@@ -25,6 +25,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.memory import enums
+from cython.cimports.ekf_companion.core.memory.bank import BANK
 from cython.cimports.ekf_companion.core.memory.overlay import (
     Numbers,
     as_banks,
@@ -37,7 +38,6 @@ from cython.cimports.ekf_companion.core.memory.overlay import (
     copy_bank,
     copy_state,
 )
-from cython.cimports.ekf_companion.core.memory.bank import BANK
 from cython.cimports.ekf_companion.core.memory.scratch import ODOMETRY, OUT, ROW, VALUES, Scratch
 from cython.cimports.ekf_companion.core.memory.state import BLOCK
 from cython.cimports.ekf_companion.core.order import step
@@ -124,7 +124,7 @@ class Timeline:
         self.first = as_state(self.blocks[2])
         self.mark = as_state(self.blocks[3])
         self.mark_row = -1
-        # banks of the state, of the mark and of the snapshots; their pages are used as they are needed
+        # banks of the state, of the mark, of the snapshots: pages that are not used cost nothing
         has_bank = cython.declare(cython.bint, self.k.weighs_faults != 0.0)
         count = 2 + self.snapshot_row.shape[0] if has_bank else 1
         self.bank_table = np.zeros((count, BANK if has_bank else 1))

@@ -46,7 +46,6 @@ FAULTS = {
     Fault.HEIGHT_RAMP: Prior(Source.HEIGHT, 1, 0.5, 5.0, 0.3, RAMP, VERTICAL),
     # of the barometer: m, m/s, m at 15 m/s
     Fault.FALL: Prior(Source.FALL, 1, 1.0, 30.0, 0.1, RAMP, VERTICAL),
-    Fault.CLIMB_RAMP: Prior(Source.CLIMB, 1, 0.3, 3.0, 0.02, RAMP, VERTICAL),
     Fault.BARO_STEP: Prior(Source.BARO, 1, 5.0, 100.0, 0.1, STEP, VERTICAL),
     Fault.BARO_RAMP: Prior(Source.BARO, 1, 0.3, 3.0, 0.3, RAMP, VERTICAL),
     Fault.BARO_SPEED: Prior(Source.BARO, 1, 2.0, 2.0, 0.1, RAMP, VERTICAL),

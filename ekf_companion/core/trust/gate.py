@@ -128,7 +128,7 @@ def fuse_judged(
         if aid < AID_HEADING:
             add_to_run(x, o, aid)
         if o.has_bank:
-            o.bank[0].has_T = 0
+            o.bank[0].is_observed = 0
         return False
     if nis > soft:
         inflate_noise(o, nis / soft)

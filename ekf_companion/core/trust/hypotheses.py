@@ -32,8 +32,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
-    FAULT_CLIMB_RAMP,
     FAULT_DELAY,
+    FAULT_FALL,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
@@ -83,7 +83,7 @@ RECENT = cython.declare(cython.double, 10.0)
 """Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
 LN_TEN = cython.declare(cython.double, 2.302585092994046)
 AGAIN = cython.declare(cython.double, 100.0)
-"""How much more often a source fails that has just failed: a receiver among houses, a loose plug."""
+"""How much more often a source fails that has just failed: a receiver among houses."""
 FADES = cython.declare(cython.double, 60e9)
 """ns."""
 LEAST = cython.declare(cython.double, 1e-300)
@@ -96,7 +96,7 @@ more than at 10. They correct the state, and so the columns, all the same."""
 def begin(b: Bank) -> None:
     """Begin with no instance."""
     b.n = 0
-    b.has_T = 0
+    b.is_observed = 0
     b.fix_t = NEVER
     b.nothing = 1.0
     for source in range(SOURCES):
@@ -126,7 +126,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         begin_instances(x, k, b, aid)
         b.weighed_t[aid] = x.t
     columns.observe(b, o)
-    b.has_T = 1
+    b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])
         shape.add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
@@ -269,7 +269,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
             begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_CLIMB_RAMP)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
@@ -423,5 +423,3 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
             h.p *= 1.0 + vertical / none
         elif k.fault[h.kind].shows == SHOWS_VERTICAL:
             h.p *= 1.0 + level / none
-
-

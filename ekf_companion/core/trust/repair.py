@@ -2,8 +2,8 @@
 
 As long as nothing is beyond doubt, what is shown is the mixture: its mean, and its covariance by
 moments. A source that has been beyond doubt for some fixes is declared: the state becomes
-``x + U b``, its covariance ``P + U M U'``, as if the fault had been a state since its onset; and the
-fault lives on in the slow error of its source, or is taken off the readings.
+``x + U b``, its covariance ``P + U M U'``, as if the fault had been a state since its onset; and
+the fault lives on in the slow error of its source, or is taken off the readings.
 
 Source: Friedland 1969; Blackman and Popoli 1999, chapter 6 (moments of a mixture).
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.filter.columns import turn
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
 from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
@@ -25,9 +26,9 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_HEADING,
     E_IRON,
     FAULT_BARO_RAMP,
+    FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
-    FAULT_CLIMB_RAMP,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
     FAULT_FALL,
@@ -35,8 +36,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
     FAULT_HEIGHT_STEP,
+    FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_VELOCITY_LAG,
+    FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
     SHOWS_ALL,
     SOURCE_DRAG,
@@ -49,9 +53,12 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust.hypotheses import drop
+from cython.cimports.libc.math import log
 
 SURE = cython.declare(cython.double, 0.99)
 """Probability of a source beyond which it is beyond doubt."""
+SUREST = cython.declare(cython.double, 0.9999)
+"""The model itself may be wrong so often."""
 PATIENCE = cython.declare(cython.double, 3.0)
 """Fixes for which it must be so."""
 SHORTEST = cython.declare(cython.double, 0.6e9)
@@ -90,7 +97,7 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             tell(x, b, address(b.instance[best]))
             if k.weighs_faults == WEIGH_ACT:
                 b.since[source] = NEVER
-                repair(x, k, o, best)
+                repair(x, k, o, best, p)
                 return
 
 
@@ -110,7 +117,7 @@ def tell(x: State, b: Bank, h: Instance) -> None:
         b.found[last].b[c] = h.b[c]
 
 
-def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
+def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     """Move the state to where it would be if the fault had been known since its onset."""
     b = address(o.bank[0])
     h = address(b.instance[i])
@@ -120,26 +127,46 @@ def repair(x: State, k: Parameters, o: Observation, i: int) -> None:
     columns.follow(x, b)
     b.declared[kind] += 1.0
     b.failed_t[k.fault[kind].source] = x.t
-    carry(x, b, h, o)
+    carry(x, b, h)
+    extend(b, h, 1.0)
     for e in range(N):
         o.dx[e] = 0.0
         for c in range(rows):
             o.dx[e] += h.U[c][e] * h.b[c]
-    open_offset(x, h)
+    open_offset(x, h, 1.0)
     add_columns(x, h, rows)
+    open_offset(x, h, -1.0)
+    extend(b, h, -1.0)
     inject(x, o)
+    doubt_it(k, h, o, p)
 
     # What is left may fail apart; all else was about another state
+    stays = i
     j = b.n - 1
     while j >= 0:
         other = k.fault[b.instance[j].kind].shows
-        if shows == SHOWS_ALL or other == SHOWS_ALL or other == shows:
+        if j != stays and (shows == SHOWS_ALL or other == SHOWS_ALL or other == shows):
+            if stays == b.n - 1:
+                stays = j
             drop(b, j)
         j -= 1
 
 
-def carry(x: State, b: Bank, h: Instance, o: Observation) -> None:
-    """Let the fault live on: extend its columns to the slow error of its source, or take it off."""
+def doubt_it(k: Parameters, h: Instance, o: Observation, p: float) -> None:
+    """Keep the instance that was declared as its own opposite: that it never was, by what is left.
+
+    Under that the state, and what is taken off the readings, are off by -b from the same onset on.
+    """
+    odds = (1.0 - p) / p if p < SUREST else (1.0 - SUREST)
+    h.evidence = log(odds / (k.fault[h.kind].rate * h.mass))
+    h.p = 1.0 - p
+    for c in range(h.rows):
+        h.b[c] = -h.b[c]
+        turn(h.U[c], o.dx)
+
+
+def carry(x: State, b: Bank, h: Instance) -> None:
+    """Hold what is off by the fault from now on, or let it go on; or take it off the readings."""
     kind = h.kind
     since = (x.t - h.t0) * 1e-9
     for axis in range(4):
@@ -153,55 +180,63 @@ def carry(x: State, b: Bank, h: Instance, o: Observation) -> None:
             drive_on(x, b, c, h.b[c], h.M[c][c])
     elif kind == FAULT_HEIGHT_STEP:
         hold(b, 2, h.b[0])
-    elif kind == FAULT_HEIGHT_RAMP:
+    elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
         hold(b, 2, h.b[0] * since)
         drive_on(x, b, 2, h.b[0], h.M[0][0])
-    elif kind == FAULT_VELOCITY_STEP:
-        h.U[0][E_GNSS_VEL] += 1.0
-        h.U[1][E_GNSS_VEL + 1] += 1.0
-    elif kind == FAULT_FALL:
-        h.U[0][E_GNSS_VEL + 2] += 1.0
-        hold(b, 2, h.b[0] * since)
-        drive_on(x, b, 2, h.b[0], h.M[0][0])
-    elif kind == FAULT_CLIMB_STEP:
-        h.U[0][E_GNSS_VEL + 2] += 1.0
-    elif kind == FAULT_CLIMB_RAMP:
-        h.U[0][E_GNSS_VEL + 2] += since
     elif kind == FAULT_BARO_STEP:
         hold(b, 3, h.b[0])
     elif kind == FAULT_BARO_RAMP:
         hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
-    elif kind == FAULT_BODY_FIELD:
-        for c in range(3):
-            h.U[c][E_IRON + c] += 1.0
-    elif kind == FAULT_HEADING_STEP:
-        h.U[0][E_HEADING] += 1.0
-    elif kind == FAULT_FIELD:
-        # what it turns the azimuth by; the last azimuth's slopes are in the observation no more
-        for c in range(2):
-            h.U[c][E_HEADING] += b.field_slope[c]
-    elif kind == FAULT_DELAY:
-        h.U[0][E_DELAY] += 1.0
-    else:
-        for c in range(3):
+    elif is_taken(kind):
+        for c in range(h.rows):
             b.taken[kind][c] += h.b[c]
             b.taken_var[kind][c] = h.M[c][c]
 
 
-def open_offset(x: State, h: Instance) -> None:
+def is_taken(kind: int) -> bool:
+    """Return whether a fault is taken off the readings: no error state holds it."""
+    return (
+        kind == FAULT_VELOCITY_SCALE
+        or kind == FAULT_VELOCITY_LAG
+        or kind == FAULT_BARO_SPEED
+        or kind == FAULT_LEVER
+    )
+
+
+def extend(b: Bank, h: Instance, sign: float) -> None:
+    """Extend the columns to the error state that holds the fault from now on; -1: take it back."""
+    kind = h.kind
+    if kind == FAULT_VELOCITY_STEP:
+        for c in range(2):
+            h.U[c][E_GNSS_VEL + c] += sign
+    elif kind == FAULT_CLIMB_STEP or kind == FAULT_FALL:
+        h.U[0][E_GNSS_VEL + 2] += sign
+    elif kind == FAULT_BODY_FIELD:
+        for c in range(3):
+            h.U[c][E_IRON + c] += sign
+    elif kind == FAULT_HEADING_STEP:
+        h.U[0][E_HEADING] += sign
+    elif kind == FAULT_FIELD:
+        for c in range(2):
+            h.U[c][E_HEADING] += sign * b.field_slope[c]
+    elif kind == FAULT_DELAY:
+        h.U[0][E_DELAY] += sign
+
+
+def open_offset(x: State, h: Instance, sign: float) -> None:
     """Let what is not known of an offset that is held be a part of the slow error of its source."""
     kind = h.kind
-    since = (x.t - h.t0) * 1e-9
+    since = (x.t - h.t0) * 1e-9 * sign
     if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP:
         for c in range(2):
-            h.U[c][E_GNSS + c] += 1.0 if kind == FAULT_POSITION_STEP else since
+            h.U[c][E_GNSS + c] += sign if kind == FAULT_POSITION_STEP else since
     elif kind == FAULT_HEIGHT_STEP:
-        h.U[0][E_GNSS + 2] += 1.0
+        h.U[0][E_GNSS + 2] += sign
     elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
         h.U[0][E_GNSS + 2] += since
     elif kind == FAULT_BARO_STEP:
-        h.U[0][E_BARO] += 1.0
+        h.U[0][E_BARO] += sign
     elif kind == FAULT_BARO_RAMP:
         h.U[0][E_BARO] += since
 

@@ -1,8 +1,8 @@
 """Score: the inertial noise, learnt from what the fixes say of each second.
 
 A noise parameter is a small bias that is always there, constant over its window. Over a window the
-readings say ``lam = sum T' y`` of such a bias, to ``Lam = sum T' T``; the slope of the likelihood by
-the logarithm of the noise follows from both, and is zero in the mean exactly where the noise is
+readings say ``lam = sum T' y`` of such a bias, to ``Lam = sum T' T``; the slope of the likelihood
+by the logarithm of the noise follows from both, and is zero in the mean exactly where the noise is
 right. A log-normal prior holds it where nothing is said.
 
 Source: the score of a variance, e.g. Harville 1977; INS/GNSS windows: Mehra 1970.

@@ -1,6 +1,6 @@
 """Shapes of the faults: where each enters, the state at its onset or the readings since.
 
-What a fault of unit size adds to the state when it begins is ``U``, what it adds to a reading ``D``.
+What a fault of unit size adds to the state when it begins is ``U``; to a reading it adds ``D``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
-    FAULT_CLIMB_RAMP,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
     FAULT_DRAG,
@@ -128,9 +127,6 @@ def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: D
             T[0][0] += since
         elif aid == AID_VELOCITY and o.rows == 3:
             T[2][0] += 1.0
-    elif kind == FAULT_CLIMB_RAMP:
-        if aid == AID_VELOCITY and o.rows == 3:
-            T[2][0] += since
     elif kind == FAULT_CLIMB_STEP:
         if aid == AID_VELOCITY and o.rows == 3:
             T[2][0] += 1.0
