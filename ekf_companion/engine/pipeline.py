@@ -160,7 +160,8 @@ class Pipeline:
 
     def found_faults(self) -> list[FoundFault]:
         """Return the faults that were beyond doubt so far; none without ``weigh_faults``."""
-        return [FoundFault(Fault(kind), *found) for kind, *found in self._timeline.found()]
+        found = self._timeline.found()
+        return [FoundFault(Fault(kind), onset, until, size) for kind, onset, until, size in found]
 
     @property
     def resets(self) -> int:

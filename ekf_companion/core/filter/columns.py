@@ -24,6 +24,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_HEADING,
     E_POS,
     E_VEL,
+    FAULT_BARO_RAMP,
+    FAULT_BARO_STEP,
     N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
@@ -78,12 +80,17 @@ def follow(x: State, b: Bank) -> None:
     for e in range(N):
         if x.redrawn[e] != b.redrawn[e]:
             b.redrawn[e] = x.redrawn[e]
-            # an aid's offset was found by the height; nothing else owes to what was before
+            # an aid's offset was found by the height and a reading, which has the fault in it;
+            # nothing else owes to what was before
             is_offset = cython.declare(cython.bint, e == E_BARO or e >= E_GNSS_VEL + 3)
             for i in range(b.n):
                 h = address(b.instance[i])
                 for c in range(h.rows):
                     h.U[c][e] = h.U[c][E_POS + 2] if is_offset else 0.0
+                if e == E_BARO and h.kind == FAULT_BARO_STEP:
+                    h.U[0][e] -= 1.0
+                elif e == E_BARO and h.kind == FAULT_BARO_RAMP:
+                    h.U[0][e] -= (x.t - h.t0) * 1e-9
     stand(b)
 
 

@@ -62,7 +62,8 @@ def as_banks(numbers: Array) -> Bank:
 
 def copy_bank(to: Any, source: Any) -> None:
     """Copy a bank, as far as it has instances."""
-    size = Bank.instance.offset + source.n * ctypes.sizeof(Instance)
+    one: Any = Instance
+    size = Bank.instance.offset + source.n * ctypes.sizeof(one)
     ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), size)
 
 

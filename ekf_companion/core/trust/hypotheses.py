@@ -81,6 +81,8 @@ WINDOW = cython.declare(cython.double, 0.95e9)
 none."""
 RECENT = cython.declare(cython.double, 10.0)
 """Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
+OPEN = cython.declare(cython.double, 0.25)
+"""Least variance of the size, of its prior, down to which it is open: half the sigma."""
 LN_TEN = cython.declare(cython.double, 2.302585092994046)
 AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed: a receiver among houses."""
@@ -174,7 +176,7 @@ def weigh_reading(
             score.add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
         return
     nis = try_reading(h, to, o, rows, 1.0)
-    if nis > GATE * o.rows and h.is_wide == 0.0:
+    if nis > GATE * o.rows and h.is_wide == 0.0 and is_open(k, h):
         widen(k, h)
         nis = try_reading(h, to, o, rows, 1.0)
     h.readings += 1.0
@@ -186,6 +188,15 @@ def weigh_reading(
         h.b[c] = to.b[c]
         for j in range(rows):
             h.M[c][j] = to.M[c][j]
+
+
+def is_open(k: Parameters, h: Instance) -> bool:
+    """Return whether the size of a fault is hardly known yet: what was learnt stays learnt."""
+    prior = k.fault[h.kind].std * k.fault[h.kind].std
+    for c in range(h.rows):
+        if h.M[c][c] < OPEN * prior:
+            return False
+    return True
 
 
 def widen(k: Parameters, h: Instance) -> None:

@@ -16,7 +16,7 @@ from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.libc.math import exp
+from cython.cimports.libc.math import exp, log
 
 LONGEST_WINDOW = cython.declare(cython.double, 2.0)
 """s; after a silence of the fixes a window says nothing."""
@@ -57,36 +57,43 @@ def end_window(x: State, k: Parameters, b: Bank) -> None:
     logarithm of its variance is ``(M lam^2 - M Lam) / 2``, whose mean is zero where M is right.
     """
     span = (x.t - b.window_t) * 1e-9
-    if b.window_t > NEVER and span < LONGEST_WINDOW:
-        share = exp(b.log_share)
-        slope = 0.0
-        information = 0.0
-        for j in range(6):
-            configured = k.gyro_noise if j >= 3 else k.accel_noise
-            configured *= configured * share
-            learnt = x.noise[j - 3] if j >= 3 else x.noise[j + 3]
-            part = configured / (configured + learnt)
-            M = (configured + learnt) / span
-            square = b.lam[j] * b.lam[j]
-            most = LARGEST_SQUARE * (b.Lam[j] + M * b.Lam[j] * b.Lam[j])
-            square = square if square < most else most
-            # as far as it is known, a mean of all that may be
-            scale = part / (1.0 + M * b.Lam[j])
-            slope += 0.5 * scale * M * (square / (1.0 + M * b.Lam[j]) - b.Lam[j])
-            information += 0.5 * scale * scale * M * M * b.Lam[j] * b.Lam[j]
-        kept = exp(-span / NOISE_MEMORY)
-        b.information = kept * b.information + information
-        slope -= (1.0 - kept) * (b.log_share - USUAL_LOG_SHARE) / LOG_SHARE_VAR
-        step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
-        step = step if step < LARGEST_STEP else LARGEST_STEP
-        b.log_share += step if step > -LARGEST_STEP else -LARGEST_STEP
-        if step >= 0.5 * LARGEST_STEP:
-            b.hold_t = x.t + HELD
-            if b.acts != 0.0 and x.proven_t < b.hold_t:
-                x.proven_t = b.hold_t
-        if b.acts != 0.0:
-            x.doubt = exp(b.log_share)
+    before = b.log_share
+    if b.acts == 0.0:
+        b.log_share = log(x.doubt)
+    elif b.window_t > NEVER and span < LONGEST_WINDOW:
+        b.log_share += find_step(x, k, b, span)
+        x.doubt = exp(b.log_share)
+    if b.window_t > NEVER and b.log_share - before >= 0.5 * LARGEST_STEP:
+        b.hold_t = x.t + HELD
+        if b.acts != 0.0 and x.proven_t < b.hold_t:
+            x.proven_t = b.hold_t
     b.window_t = x.t
     for j in range(6):
         b.lam[j] = 0.0
         b.Lam[j] = 0.0
+
+
+def find_step(x: State, k: Parameters, b: Bank, span: float) -> float:
+    """Return the step of the logarithm of the share that a window of so many seconds asks for."""
+    share = exp(b.log_share)
+    slope = 0.0
+    information = 0.0
+    for j in range(6):
+        configured = k.gyro_noise if j >= 3 else k.accel_noise
+        configured *= configured * share
+        learnt = x.noise[j - 3] if j >= 3 else x.noise[j + 3]
+        part = configured / (configured + learnt)
+        M = (configured + learnt) / span
+        square = b.lam[j] * b.lam[j]
+        most = LARGEST_SQUARE * (b.Lam[j] + M * b.Lam[j] * b.Lam[j])
+        square = square if square < most else most
+        # as far as the bias is known from the window
+        scale = part / (1.0 + M * b.Lam[j])
+        slope += 0.5 * scale * M * (square / (1.0 + M * b.Lam[j]) - b.Lam[j])
+        information += 0.5 * scale * scale * M * M * b.Lam[j] * b.Lam[j]
+    kept = exp(-span / NOISE_MEMORY)
+    b.information = kept * b.information + information
+    slope -= (1.0 - kept) * (b.log_share - USUAL_LOG_SHARE) / LOG_SHARE_VAR
+    step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
+    step = step if step < LARGEST_STEP else LARGEST_STEP
+    return step if step > -LARGEST_STEP else -LARGEST_STEP
