@@ -27,7 +27,7 @@ from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 THIS = Path(__file__).name
-DECLARED = ("constants", "enums", "state", "parameters", "scratch")
+DECLARED = ("constants", "enums", "bank", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
 PAGE = ROOT / "ekf_companion" / "status" / "page"
 CHARTS = "uplot@1.6.32"

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from ekf_companion.core.memory.enums import NeedsReset
+from ekf_companion.core.memory.enums import Fault, NeedsReset
 from ekf_companion.core.memory.overlay import as_estimate, as_state
 from ekf_companion.core.memory.scratch import OUT
 from ekf_companion.core.memory.state import BLOCK
@@ -17,6 +17,7 @@ from ekf_companion.core.settings.field import Field
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Origin, State, settings_fingerprint
+from ekf_companion.engine.faults import FoundFault
 from ekf_companion.engine.health import (
     HEADING_SENSORS,
     RESET_REASONS,
@@ -156,6 +157,11 @@ class Pipeline:
         """
         lat, lon, alt, offset = origin.later(age, self._slow_time)
         self._timeline.set_origin(lat, lon, alt, np.array(offset))
+
+    def found_faults(self) -> list[FoundFault]:
+        """Return the faults that were beyond doubt so far; none without ``weigh_faults``."""
+        found = self._timeline.found()
+        return [FoundFault(Fault(kind), onset, until, size) for kind, onset, until, size in found]
 
     @property
     def resets(self) -> int:

@@ -38,6 +38,11 @@ class Extent:
         """Take it that the log's sensors spoke from one stamp to another."""
         self._ns = _wider(self._ns, first_ns, last_ns)
 
+    @property
+    def first_ns(self) -> int:
+        """Stamp of the first inertial sample; 0: there is none."""
+        return 0 if self._imu_ns is None else self._imu_ns[0]
+
     def lacks(self) -> list[str]:
         """Return in a few words where inertial samples are missing at the log's begin and end."""
         if self._imu_ns is None or self._ns is None or not self._is_one:

@@ -102,6 +102,10 @@ class Review(Generic[P]):
         self.compare_sensors()
         report.is_contradictory = bool(self._faults)
         report.notes += self._faults + self._doubts
+        for one in run.pipelines:
+            report.notes += [
+                f"fault: {f.words(report.extent.first_ns)}" for f in one.found_faults()
+            ]
         note_shortcomings(report, self._path)
         report.own = reference(run.log, run.autopilot)
         report.truth = truth(run.log, run.autopilot)

@@ -1,3 +1,5 @@
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -5,6 +7,7 @@ from scipy.stats import chi2
 from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.enums import Aid
 from ekf_companion.core.memory.overlay import as_parameters
+from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.core.settings.from_settings import chi_square_quantile, delays_ns, parameters
 from ekf_companion.core.settings.settings import HABITS, FilterSettings, GnssSettings
 from ekf_companion.nav.measurements import Kind
@@ -20,14 +23,20 @@ def test_gates_are_chi_square_quantiles(dof, probability):
 
 def test_every_parameter_is_given():
     k = as_parameters(parameters(FilterSettings(), "unknown"))
-    given = {name: np.ravel(getattr(k, name)) for name, _ in k._fields_ if name != "aid"}
-    may_be_zero = {"gnss_delay", "lag", "lever_arm_b", "heading", "keeps_bias"}
+    given = {
+        name: np.ravel(getattr(k, name)) for name, _ in k._fields_ if name not in ("aid", "fault")
+    }
+    may_be_zero = {"gnss_delay", "lag", "lever_arm_b", "heading", "keeps_bias", "weighs_faults"}
     may_be_unknown = ["unset_delay", "white_share"]
     assert [name for name, one in given.items() if np.isnan(one).any()] == may_be_unknown
     assert {name for name, one in given.items() if (one == 0.0).any()} == may_be_zero
     for declared in DECLARED:
         one = k.aid[Aid[declared.name.upper()]]
         assert min(one.use, one.std, one.walk, one.speed_walk, one.error, one.errors) > 0.0
+    for kind, prior in FAULTS.items():
+        of = k.fault[kind]
+        numbers = (of.source, of.rows, of.std, of.tail, of.rate, of.every, of.shows)
+        assert numbers == astuple(prior)
 
 
 def test_auto_follows_the_family_unless_told_otherwise():

@@ -32,7 +32,7 @@ def odometry(euler=(0.1, -0.2, 1.5), P=None, scale=1.0):
     out.pos_n[:], out.vel_n[:] = (10, -20, -30), (3, 4, -1)
     out.q_nb[:] = scale * so3.from_euler(*euler)
     out.euler[:] = so3.to_euler(so3.from_euler(*euler))
-    load().odometry.write_odometry(x, out, Scratch(), numbers)
+    load().odometry.write_odometry(x, x, out, Scratch(), numbers)
     return numbers, P
 
 

@@ -5,6 +5,7 @@ With :mod:`.update` and :mod:`.covariance` the only place that writes P.
 
 from __future__ import annotations
 
+from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.enums import AID_BARO, AIDS, N
 from cython.cimports.ekf_companion.core.memory.state import State
 
@@ -79,3 +80,17 @@ def copy_covariance(x: State, source: State) -> None:
     for i in range(N):
         for j in range(N):
             x.P[i][j] = source.P[i][j]
+
+
+def copy_moving(x: State, source: State) -> None:
+    """Copy the covariance of attitude, velocity and position of another state."""
+    for i in range(9):
+        for j in range(9):
+            x.P[i][j] = source.P[i][j]
+
+
+def add_spread(x: State, b: Bank) -> None:
+    """Add to that how far the fault hypotheses are apart."""
+    for i in range(9):
+        for j in range(9):
+            x.P[i][j] += b.spread[i][j]

@@ -10,7 +10,9 @@ Source: Maybeck 1979, vol. 1, chapters 5 and 7; reset of the attitude error: Sol
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.rotation import rotate
+from cython.cimports.ekf_companion.core.memory.bank import Instance
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
@@ -110,6 +112,8 @@ def apply_update(x: State, o: Observation) -> None:
         for j in range(i):
             x.P[i][j] = x.P[j][i]
     inject(x, o)
+    if o.has_bank:
+        columns.correct(x, o)
 
 
 def apply_yaw_update(x: State, o: Observation) -> None:
@@ -144,6 +148,8 @@ def apply_yaw_update(x: State, o: Observation) -> None:
         for j in range(i):
             x.P[i][j] = x.P[j][i]
     inject(x, o)
+    if o.has_bank:
+        columns.correct_yaw(x, o)
 
 
 def apply_delay_update(x: State, o: Observation) -> None:
@@ -159,6 +165,21 @@ def apply_delay_update(x: State, o: Observation) -> None:
             x.P[E_DELAY][i] -= gain * o.PHt[0][i]
             x.P[i][E_DELAY] = x.P[E_DELAY][i]
     x.P[E_DELAY][E_DELAY] -= gain * o.PHt[0][E_DELAY]
+    if o.has_bank:
+        columns.correct_delay(x, o, gain)
+
+
+def add_columns(x: State, h: Instance, rows: int) -> None:
+    """Add the uncertainty of a fault to P, by its columns: U M U'."""
+    for c in range(rows):
+        for d in range(rows):
+            for i in range(N):
+                s = h.U[c][i] * h.M[c][d]
+                for j in range(N):
+                    x.P[i][j] += s * h.U[d][j]
+    for i in range(N):
+        for j in range(i):
+            x.P[i][j] = x.P[j][i]
 
 
 def inject(x: State, o: Observation) -> None:

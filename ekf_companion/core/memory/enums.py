@@ -129,6 +129,94 @@ class Voice(IntEnum):
     """They disagree, and no two agree against a third."""
 
 
+class Fault(IntEnum):
+    """What may have begun to be wrong; ``settings/faults.py`` has the numbers of each."""
+
+    POSITION_STEP = 0
+    """The receiver's position is off."""
+    POSITION_RAMP = 1
+    """It slides."""
+    DRAG = 2
+    """Position and velocity are led away together."""
+    VELOCITY_STEP = 3
+    """The receiver's horizontal velocity is off."""
+    VELOCITY_SCALE = 4
+    """All of its velocity is too long, or too short."""
+    VELOCITY_LAG = 5
+    """It lags behind the position."""
+    CLIMB_STEP = 6
+    """Its vertical velocity is off."""
+    HEIGHT_STEP = 7
+    HEIGHT_RAMP = 8
+    BARO_STEP = 9
+    BARO_RAMP = 10
+    BARO_SPEED = 11
+    """Dynamic pressure: by the square of the speed."""
+    ACCEL_STEP = 12
+    """The accelerometer's bias has changed."""
+    GYRO_STEP = 13
+    TILT = 14
+    """Our roll and pitch are off."""
+    YAW = 15
+    KICK = 16
+    """Our velocity is off: a shock beyond what the samples show."""
+    FIELD = 17
+    """A magnetic field beside the Earth's, fixed in n."""
+    BODY_FIELD = 18
+    """The same, fixed in the vehicle."""
+    HEADING_STEP = 19
+    """A heading of another source is off."""
+    DELAY = 20
+    """The fixes are later than they are taken for."""
+    LEVER = 21
+    """The antenna is elsewhere."""
+    FALL = 22
+    """Height and vertical velocity are led away together."""
+    ACCEL_NOISE = 23
+    """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
+    GYRO_NOISE = 24
+
+
+class Source(IntEnum):
+    """Whose fault it is: what has the same consequence is declared together."""
+
+    POSITION = 0
+    DRAG = 1
+    """Never declared: no other source can ever contradict it, nor confirm it."""
+    VELOCITY = 2
+    CLIMB = 3
+    HEIGHT = 4
+    BARO = 5
+    ACCEL = 6
+    GYRO = 7
+    STATE = 8
+    """What was integrated, before."""
+    COMPASS = 9
+    HEADING = 10
+    DELAY = 11
+    LEVER = 12
+    FALL = 13
+    NOISE = 14
+
+
+class Weigh(IntEnum):
+    """What the fault hypotheses are for."""
+
+    OFF = 0
+    REPORT = 1
+    """They tell what they find, and change nothing."""
+    ACT = 2
+    """They decide."""
+
+
+class Shows(IntEnum):
+    """In which rows a fault shows: what is level and what is vertical can fail apart."""
+
+    ALL = 0
+    LEVEL = 1
+    VERTICAL = 2
+
+
 class Reset(IntEnum):
     """Why the state jumped."""
 
@@ -175,6 +263,10 @@ ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "RESET": Reset,
     "LINK": Link,
     "VOICE": Voice,
+    "FAULT": Fault,
+    "SHOWS": Shows,
+    "WEIGH": Weigh,
+    "SOURCE": Source,
 }
 """Enumerations that the kernel knows, by the prefix of their members: ``MODE_LEVEL``."""
 
@@ -215,6 +307,8 @@ for _one in DECLARED:
         N += len(_one.slow_errors)
 
 AIDS = len(Aid)
+FAULTS = len(Fault)
+SOURCES = len(Source)
 VERDICTS = len(Verdict)
 HEADINGS = 3
 """Kinds of sensor of a heading: two antennas, another estimate, a compass; an :class:`Azimuth` less

@@ -1,4 +1,6 @@
 # Structs laid over arrays of doubles
+from libc.string cimport memcpy
+from ekf_companion.core.memory.bank cimport Bank, Instance
 from ekf_companion.core.memory.enums cimport N
 from ekf_companion.core.memory.parameters cimport Parameters
 from ekf_companion.core.memory.scratch cimport Estimate, Event, OdometryNumbers, TapeRecord
@@ -22,6 +24,10 @@ cdef inline OdometryNumbers *as_odometry(double[::1] numbers) noexcept nogil:
     return <OdometryNumbers *> &numbers[0]
 cdef inline TapeRecord *as_records(double[:, ::1] records) noexcept nogil:
     return <TapeRecord *> &records[0, 0]
+cdef inline Bank *as_banks(double[:, ::1] numbers) noexcept nogil:
+    return <Bank *> &numbers[0, 0]
+cdef inline void copy_bank(Bank *to, const Bank *source) noexcept nogil:
+    memcpy(to, source, (<char *> &source.instance[0] - <char *> source) + source.n * sizeof(Instance))
 cdef inline void copy_state(State *to, const State *source) noexcept nogil:
     to[0] = source[0]
 cdef inline double *errors(State *x) noexcept nogil:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ekf_companion.core.memory.bank import Bank, Instance
 from ekf_companion.core.memory.declare import Dcm, Numbers, Square, Structs, Vector
 from ekf_companion.core.memory.enums import E_VEL, N
 from ekf_companion.core.memory.parameters import Parameters
@@ -51,6 +52,19 @@ def as_records(records: Array) -> TapeRecord:
     """Return memory for a tape, shape (n, RECORD), as its records."""
     kind: Any = TapeRecord
     return ctypes.cast(records.ctypes.data, ctypes.POINTER(kind))
+
+
+def as_banks(numbers: Array) -> Bank:
+    """Return memory for banks, shape (n, BANK), as those."""
+    kind: Any = Bank
+    return ctypes.cast(numbers.ctypes.data, ctypes.POINTER(kind))
+
+
+def copy_bank(to: Any, source: Any) -> None:
+    """Copy a bank, as far as it has instances."""
+    one: Any = Instance
+    size = Bank.instance.offset + source.n * ctypes.sizeof(one)
+    ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), size)
 
 
 def copy_state(to: Any, source: Any) -> None:

@@ -5,8 +5,8 @@
 
 from typing import Annotated
 
-from ekf_companion.core.memory.declare import Real, Structs, Vector, doubles, struct
-from ekf_companion.core.memory.enums import AIDS, RUNS
+from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
+from ekf_companion.core.memory.enums import AIDS, FAULTS, RUNS
 
 
 @struct
@@ -24,6 +24,26 @@ class AidParameters:
     """The first of its slow errors in P."""
     errors: Real
     """How many it has."""
+
+
+@struct
+class FaultParameters:
+    """The numbers of a kind of fault."""
+
+    rows: Count
+    """Its components."""
+    std: Real
+    """One sigma of each, before anything is known, in its unit."""
+    tail: Real
+    """One sigma of the tenth that is larger by orders of magnitude; as ``std``: none is."""
+    rate: Real
+    """How often it begins in an hour."""
+    every: Real
+    """Time between two onsets that are told apart, s; 0: each reading is one."""
+    shows: Count
+    """:class:`~.enums.Shows`: in which rows."""
+    source: Count
+    """:class:`~.enums.Source`: whose."""
 
 
 @struct
@@ -94,6 +114,10 @@ class Parameters:
     gravity: Real
     keeps_bias: Real
     """The biases outlive a reboot of the autopilot in flight."""
+    weighs_faults: Real
+    """The bank of fault hypotheses runs beside the filter: 1 it tells, 2 it decides."""
+    fault: Annotated[Structs, FaultParameters, FAULTS]
+    """By kind."""
 
 
 PARAMETERS = doubles(Parameters)

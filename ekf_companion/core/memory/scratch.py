@@ -6,6 +6,7 @@ Nothing in it outlives the step, but the smoother's tape. ``setup.py`` makes ``s
 import ctypes
 from typing import Annotated, Any
 
+from ekf_companion.core.memory.bank import Bank
 from ekf_companion.core.memory.declare import Count, Real, Vector, doubles, struct, union
 from ekf_companion.core.memory.enums import AIDS, RUNS, YAW_FILTERS, YAW_N, N
 from ekf_companion.core.memory.state import Reference, State
@@ -149,6 +150,10 @@ class Observation:
     """Error state that was moved into the nominal one."""
     gain: Annotated[Vector, N]
     """Gain of a row that corrects yaw only."""
+
+    has_bank: Count
+    """False where no fault hypotheses follow the filter."""
+    bank: Annotated[Any, ctypes.POINTER(Bank)]
 
 
 @struct

@@ -38,7 +38,7 @@ READERS = {
 }
 """What is compiled beside the kernel."""
 OVERLAY, MESSAGES = "core.memory.overlay", "mavlink.record"
-STRUCTS = [f"core.memory.{name}" for name in ("parameters", "scratch", "state")]
+STRUCTS = [f"core.memory.{name}" for name in ("bank", "parameters", "scratch", "state")]
 VOID, OBJECT = "void {}", "object {}"
 NUMBERS = {"int": "cython.longlong {}", "float": "double {}", "bool": "bint {}"}
 PYTHONS = ("list", "tuple", "dict", "bytes")

@@ -10,13 +10,14 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VERDICT_SUPERSEDED,
     VERDICT_SUSPECT,
     VOICE_BARO,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order import dispatch
-from cython.cimports.ekf_companion.core.trust import gate, voices
+from cython.cimports.ekf_companion.core.trust import gate, repair, shape, voices
 
 
 def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None:
@@ -25,7 +26,9 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
     if k.aid[aid].use == 0.0 or x.mode == MODE_LEVEL:
         gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
         return
-    if aid == AID_BARO:
+    if aid == AID_BARO and k.weighs_faults == WEIGH_ACT:
+        repair.drive(x, address(o.bank[0]), 3, 3)
+    elif aid == AID_BARO:
         voices.add_baro(x, row[0])
         if x.voices.loser == VOICE_BARO:
             # it is heard again from where it will be then
@@ -36,6 +39,8 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
         if not dispatch.observe(x, k, o, aid, row):
             gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
             return
+        if k.weighs_faults == WEIGH_ACT:
+            shape.take_off(x, o, aid)
         if gate.fuse(x, k, o, aid):
             return
         if not gate.is_timed_out(x, aid, k.timeout_height):

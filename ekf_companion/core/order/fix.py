@@ -12,6 +12,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
+from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
@@ -33,6 +34,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VERDICT_SUSPECT,
     VOICE_HEIGHT,
     VOICE_VELOCITY,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, GnssRow, Observation, Scratch
@@ -49,7 +51,15 @@ from cython.cimports.ekf_companion.core.start.navigation import (
     start_from_yaw_bank,
     start_navigation,
 )
-from cython.cimports.ekf_companion.core.trust import doubt, force, gate, slide, voices
+from cython.cimports.ekf_companion.core.trust import (
+    doubt,
+    force,
+    gate,
+    repair,
+    shape,
+    slide,
+    voices,
+)
 from cython.cimports.ekf_companion.core.trust.innovation import (
     is_denied_by_position,
     is_dragged,
@@ -77,6 +87,8 @@ OWN_DRIFT = cython.declare(cython.double, 0.5)
 """Drift of our position that is possible while the velocity is fused and agrees, m/s."""
 LARGEST_DRIFT = cython.declare(cython.double, (OWN_DRIFT / 3.0) ** 2)
 """Variance of which that is three sigma, m^2/s^2."""
+FADING = cython.declare(cython.double, 9.0)
+"""Square of an offset, of its usual variance, beyond which it is a fault's."""
 LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
 """Longest time for which a position that drift cannot explain is refused, s."""
 SHORTEST_RUN = cython.declare(cython.double, 3.0)
@@ -101,10 +113,11 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         return True
     learn_field(x, values)
     read_fix(x, k, fix, values)
-    if x.origin.is_known != 0.0:
+    if x.origin.is_known != 0.0 and k.weighs_faults != WEIGH_ACT:
         force.compare(x, fix)
         slide.compare_fixes(x, fix)
-    voices.compare_climbs(x, fix)
+    if k.weighs_faults != WEIGH_ACT:
+        voices.compare_climbs(x, fix)
     if x.voices.loser == VOICE_VELOCITY:
         fix.vel_n[2] = NAN
     if x.fix_t > NEVER and x.t > x.fix_t:
@@ -141,6 +154,9 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     """Correct velocity, position and height. Return False if the filter must start over."""
     fix = address(w.fix)
     o = address(w.observation)
+    if k.weighs_faults == WEIGH_ACT:
+        repair.drive(x, address(o.bank[0]), 0, 2)
+        widen_offsets(x, address(o.bank[0]))
     # What is slow of their error is no larger than what has been learnt
     bound_offset(x, o, 0, x.gnss_offset_var[0])
     bound_offset(x, o, 1, x.gnss_offset_var[0])
@@ -167,7 +183,20 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             return True
     fuse_position(x, k, w)
     fuse_height(x, k, w)
+    if o.has_bank:
+        repair.decide(x, k, o)
     return True
+
+
+def widen_offsets(x: State, b: Bank) -> None:
+    """Leave an offset as uncertain as a declared fault has made it, as long as that is held."""
+    for i in range(3):
+        level = 0 if i < 2 else 1
+        if b.held[i] != 0.0 and x.P[E_GNSS + i][E_GNSS + i] > x.gnss_offset_var[level]:
+            x.gnss_offset_var[level] = x.P[E_GNSS + i][E_GNSS + i]
+        square = x.gnss_vel_offset[i] * x.gnss_vel_offset[i]
+        if square > FADING * x.gnss_vel_offset_var:
+            x.gnss_vel_offset_var = square
 
 
 def learn_field(x: State, values: GnssRow) -> None:
@@ -236,6 +265,14 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     """Fuse the receiver's observation if it passes the gate, and learn how white its error is."""
     o = address(w.observation)
     fix = address(w.fix)
+    if k.weighs_faults == WEIGH_ACT:
+        shape.take_off(x, o, aid)
+        nis = innovate(x, o)
+        if nis <= k.gate[o.rows - 1]:
+            learn_white_share(x, o, aid, fix.stated_var[aid])
+        gate.score(x, o, nis, k.gate[o.rows - 1])
+        gate.fuse_judged(x, k, o, aid, nis, False)
+        return True
     nis = innovate(x, o)
     hard = k.gate[o.rows - 1]
     is_denied = cython.declare(cython.bint, x.is_force_denied != 0.0)

@@ -6,7 +6,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
 from cython.cimports.ekf_companion.core.aids.rest import begin_window
-from cython.cimports.ekf_companion.core.filter import past, tape
+from cython.cimports.ekf_companion.core.filter import columns, past, tape
 from cython.cimports.ekf_companion.core.filter.covariance import propagate_covariance
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
@@ -47,6 +47,8 @@ def carry_on(x: State, k: Parameters, w: Scratch) -> None:
     if dt > 0.0:
         scale_noise(x, k, address(w.motion))
         propagate_covariance(x, k, address(w.motion))
+        if w.observation.has_bank:
+            columns.move(address(w.observation.bank[0]), k, address(w.motion), dt)
         if w.tape.is_on:
             tape.record_motion(x, k, w, dt)
 

@@ -25,14 +25,17 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.memory import enums
+from cython.cimports.ekf_companion.core.memory.bank import BANK
 from cython.cimports.ekf_companion.core.memory.overlay import (
     Numbers,
+    as_banks,
     as_estimate,
     as_events,
     as_odometry,
     as_parameters,
     as_state,
     as_states,
+    copy_bank,
     copy_state,
 )
 from cython.cimports.ekf_companion.core.memory.scratch import ODOMETRY, OUT, ROW, VALUES, Scratch
@@ -121,6 +124,15 @@ class Timeline:
         self.first = as_state(self.blocks[2])
         self.mark = as_state(self.blocks[3])
         self.mark_row = -1
+        # banks of the state, of the mark, of the snapshots: pages that are not used cost nothing
+        has_bank = cython.declare(cython.bint, self.k.weighs_faults != 0.0)
+        count = 2 + self.snapshot_row.shape[0] if has_bank else 1
+        self.bank_table = np.zeros((count, BANK if has_bank else 1))
+        self.banks = as_banks(self.bank_table)
+        self.w.observation.has_bank = has_bank
+        self.w.observation.bank = self.banks
+        if has_bank:
+            self.banks[0].acts = 1.0 if self.k.weighs_faults == enums.WEIGH_ACT else 0.0
         self.expected_t = EVER
         self.late_last = np.zeros(len(self.delay))
         self.late_next = np.full(len(self.delay), -1.0)
@@ -154,6 +166,7 @@ class Timeline:
         self.snapshot_row[0] = -1
         self.mark_row = -1
         copy_state(address(self.snapshots[0]), self.x)
+        self._copy_bank(2, 0)
         self.newest = -1.0
         self.oldest = -1.0
         self.reach = EVER
@@ -593,13 +606,20 @@ class Timeline:
         base = self.snapshot_row[self.snaps - 1]
         if base < self.mark_row < i:
             copy_state(self.x, self.mark)
+            self._copy_bank(0, 1)
             self.cursor = self.mark_row + 1
         else:
             copy_state(self.x, address(self.snapshots[self.snaps - 1]))
+            self._copy_bank(0, 1 + self.snaps)
             self.cursor = base + 1
         if self.mark_row >= i:
             self.mark_row = -1
         self.reruns += 1
+
+    def _copy_bank(self, to: int, source: int) -> None:
+        """Copy a bank, where there are any."""
+        if self.w.observation.has_bank:
+            copy_bank(address(self.banks[to]), address(self.banks[source]))
 
     def _run(self) -> None:
         """Step through all rows up to the last inertial sample, leaving snapshots behind.
@@ -620,12 +640,14 @@ class Timeline:
                 recover(self.x, self.k, good, self.rows[i].t)
             if self.x.samples % SNAPSHOT_EVERY == 0.0:
                 copy_state(address(self.snapshots[self.snaps]), self.x)
+                self._copy_bank(2 + self.snaps, 0)
                 self.snapshot_row[self.snaps] = i
                 self.snaps += 1
             # One interval early: stamps jitter
             ahead = self.expected_t - self.rows[i].t - self.interval
             if 0.0 < ahead <= self.interval:
                 copy_state(self.mark, self.x)
+                self._copy_bank(1, 0)
                 self.mark_row = i
 
     def _trim(self) -> None:
@@ -646,6 +668,7 @@ class Timeline:
                 # hardly an inertial sample among all these rows: begin from now
                 base = 1
                 copy_state(address(self.snapshots[1]), self.x)
+                self._copy_bank(3, 0)
                 self.snapshot_row[1] = self.cursor - 1
                 self.snaps = 2
             gone = self.snapshot_row[base] + 1
@@ -653,6 +676,7 @@ class Timeline:
             self.oldest = self.snapshots[base].t
             for i in range(base, self.snaps):
                 copy_state(address(self.snapshots[i - base]), address(self.snapshots[i]))
+                self._copy_bank(2 + i - base, 2 + i)
                 self.snapshot_row[i - base] = self.snapshot_row[i] - gone
             self.snaps -= base
             self.snapshot_row[0] = -1
@@ -732,7 +756,7 @@ class Timeline:
         w = address(self.w)
         out = as_estimate(self.out)
         status = write_estimate(self.x, self.k, self.y, w, out)
-        write_odometry(self.x, out, w, as_odometry(self.numbers))
+        write_odometry(self.x, self.y, out, w, as_odometry(self.numbers))
         for i in range(ODOMETRY):
             self.singles[i] = self.numbers[i]
         return status, int(self.x.resets), bytes(self.singles)
@@ -764,6 +788,29 @@ class Timeline:
     def reasons(self) -> int:
         """Why the estimate is not OK, as bits: a :class:`~.nav.state.Reason`."""
         return find_reasons(self.x, self.k)
+
+    def hypotheses(self) -> list[tuple[int, float, int, tuple[float, float, float]]]:
+        """Return what may be wrong now: of each instance kind, probability, onset and size.
+
+        Empty without ``weigh_faults``. The onset is a stamp, ns; the size is in the fault's unit.
+        """
+        held = []
+        if self.w.observation.has_bank:
+            for i in range(self.banks[0].n):
+                h = address(self.banks[0].instance[i])
+                onset = int(h.t0) + self.epoch_ns
+                held.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
+        return held
+
+    def found(self) -> list[tuple[int, int, int, tuple[float, float, float]]]:
+        """Return the faults that were beyond doubt: kind, onset, until when (stamps, ns), size."""
+        told = []
+        if self.w.observation.has_bank:
+            for i in range(self.banks[0].finds):
+                one = address(self.banks[0].found[i])
+                onset, until = int(one.onset) + self.epoch_ns, int(one.until) + self.epoch_ns
+                told.append((int(one.kind), onset, until, (one.b[0], one.b[1], one.b[2])))
+        return told
 
     @property
     def reset_reason(self) -> int:

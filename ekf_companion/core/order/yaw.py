@@ -32,6 +32,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VERDICT_DISTURBED,
     VERDICT_FUSED,
     VERDICT_SUPERSEDED,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -168,6 +169,8 @@ def fuse_azimuth(
     if fuse_judged(x, k, o, AID_HEADING, nis, False):
         if r.has_iron != 0.0:
             leap.keep(x, z)
+        return
+    if k.weighs_faults == WEIGH_ACT:
         return
     if r.has_iron != 0.0:
         leap.look(x, k, z)

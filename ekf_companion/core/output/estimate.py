@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.filter.rotation import to_dcm, wrap
+from cython.cimports.ekf_companion.core.filter.rotation import rotate, to_dcm, wrap
+from cython.cimports.ekf_companion.core.filter.slow_error import add_spread, copy_moving
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
 from cython.cimports.ekf_companion.core.memory.constants import NAN
@@ -57,10 +58,12 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VOICE_HEIGHT,
     VOICE_NONE,
     VOICE_VELOCITY,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Estimate, Motion, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import repair
 from cython.cimports.ekf_companion.core.trust.gate import is_running, is_timed_out
 from cython.cimports.ekf_companion.core.trust.voices import is_fall_unconfirmed
 from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
@@ -95,6 +98,7 @@ def find_reasons(x: State, k: Parameters) -> int:
     if not x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] <= k.limit_pos * k.limit_pos:
         reasons |= REASON_UNCERTAIN
     late = late_fix(x)
+    is_judged = cython.declare(cython.bint, k.weighs_faults == WEIGH_ACT)
     if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
         reasons |= REASON_UNAIDED
     if x.needs_reset != 0.0:
@@ -106,9 +110,11 @@ def find_reasons(x: State, k: Parameters) -> int:
     # by the autopilot's own position, whose errors last
     if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:
         reasons |= REASON_AUTOPILOTS
-    if is_running(x, AID_VELOCITY) or (x.is_gradual != 0.0 and is_refused(x, AID_VELOCITY)):
+    if is_judged:
+        pass
+    elif is_running(x, AID_VELOCITY) or (x.is_gradual != 0.0 and is_refused(x, AID_VELOCITY)):
         reasons |= REASON_VELOCITY_REFUSED
-    if is_timed_out(x, AID_POSITION, late + 1.0):
+    if is_timed_out(x, AID_POSITION, late + 1.0) and not is_judged:
         is_wrong = is_refused(x, AID_POSITION)
         reasons |= REASON_POSITION_REFUSED if is_wrong else REASON_POSITION_MISSING
     if x.is_one_sided[AID_POSITION] != 0.0:
@@ -125,7 +131,7 @@ def find_reasons(x: State, k: Parameters) -> int:
             reasons |= REASON_COMPASS_REFUSED if is_wrong else REASON_COMPASS_MISSING
         else:
             reasons |= REASON_HEADING_REFUSED if is_wrong else REASON_HEADING_MISSING
-    if is_timed_out(x, AID_HEIGHT, late + 1.0):
+    if is_timed_out(x, AID_HEIGHT, late + 1.0) and not is_judged:
         is_wrong = is_refused(x, AID_HEIGHT)
         reasons |= REASON_HEIGHT_REFUSED if is_wrong else REASON_HEIGHT_MISSING
     if x.is_one_sided[AID_HEIGHT] != 0.0:
@@ -164,6 +170,15 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     status = find_status(x, reasons)
     copy_nominal(y, x)
     y.origin = x.origin
+    copy_moving(y, x)
+    if k.weighs_faults == WEIGH_ACT and x.mode == MODE_NAVIGATE:
+        b = address(w.observation.bank[0])
+        repair.mix(x, k, b)
+        add_spread(y, b)
+        rotate(y.q_nb, b.mean[0], b.mean[1], b.mean[2])
+        for i in range(3):
+            y.vel_n[i] += b.mean[3 + i]
+            y.pos_n[i] += b.mean[6 + i]
     if k.lag > 0.0 and x.mode >= MODE_ATTITUDE:
         for i in range(3):
             m.rate[i] = x.gyro[i]
@@ -216,8 +231,8 @@ def write_axis(x: State, y: State, out: Estimate, axis: int) -> None:
     """Write position and velocity along one axis of n."""
     out.pos_n[axis] = y.pos_n[axis]
     out.vel_n[axis] = y.vel_n[axis]
-    out.std_pos[axis] = sqrt(x.P[E_POS + axis][E_POS + axis])
-    out.std_vel[axis] = sqrt(x.P[E_VEL + axis][E_VEL + axis])
+    out.std_pos[axis] = sqrt(y.P[E_POS + axis][E_POS + axis])
+    out.std_vel[axis] = sqrt(y.P[E_VEL + axis][E_VEL + axis])
 
 
 def write_attitude(x: State, y: State, m: Motion, out: Estimate) -> None:
@@ -241,12 +256,12 @@ def write_attitude(x: State, y: State, m: Motion, out: Estimate) -> None:
         cp = 1e-3
     c = cos(yaw)
     s = sin(yaw)
-    p00 = x.P[0][0]
-    p01 = x.P[0][1]
-    p02 = x.P[0][2]
-    p11 = x.P[1][1]
-    p12 = x.P[1][2]
-    p22 = x.P[2][2]
+    p00 = y.P[0][0]
+    p01 = y.P[0][1]
+    p02 = y.P[0][2]
+    p11 = y.P[1][1]
+    p12 = y.P[1][2]
+    p22 = y.P[2][2]
     along = c * c * p00 + 2.0 * c * s * p01 + s * s * p11
     out.std_euler[0] = sqrt(along) / cp
     out.std_euler[1] = sqrt(s * s * p00 - 2.0 * c * s * p01 + c * c * p11)

@@ -30,7 +30,7 @@ LARGEST_VAR = cython.declare(cython.double, 1e12)
 """Largest variance: (1000 km)^2, well within float32."""
 
 
-def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> None:
+def write_odometry(x: State, y: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> None:
     """Write ODOMETRY's numbers of a state and its estimate of now.
 
     A covariance that is not finite is unknown: its first number is NaN, the rest is zero.
@@ -59,7 +59,7 @@ def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> N
         n.vel_b[i] = 0.0
         for j in range(3):
             n.vel_b[i] += p.C_nb[j][i] * out.vel_n[j]
-    if read_covariance(x, p, E_VEL, E_VEL):
+    if read_covariance(y, p, E_VEL, E_VEL):
         for i in range(3):
             for j in range(3):
                 p.turn[i][j] = p.C_nb[j][i]
@@ -69,11 +69,11 @@ def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> N
         n.twist_cov[0] = NAN
 
     # Position as it is, the attitude error as angles; then the same beside the receiver's offset
-    if read_covariance(x, p, E_POS, E_ATT):
+    if read_covariance(y, p, E_POS, E_ATT):
         write_euler_jacobian(out, p)
         turn_errors(p, 3)
         write_triangle(p, n.pose_cov, 6)
-        read_covariance(x, p, E_POS, E_ATT)
+        read_covariance(y, p, E_POS, E_ATT)
         add_offset(x, p)
         turn_errors(p, 3)
         write_triangle(p, n.relative_cov, 6)
@@ -82,13 +82,13 @@ def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> N
         n.relative_cov[0] = NAN
 
 
-def read_covariance(x: State, p: Pose, first: int, second: int) -> bool:
+def read_covariance(y: State, p: Pose, first: int, second: int) -> bool:
     """Read the bounded covariance of two groups of three errors; False if not finite."""
     for i in range(6):
         row = first + i if i < 3 else second + i - 3
         for j in range(6):
             column = first + j if j < 3 else second + j - 3
-            value = x.P[row][column]
+            value = y.P[row][column]
             if not isfinite(value):
                 return False
             p.cov[i][j] = min(max(value, -LARGEST_VAR), LARGEST_VAR)

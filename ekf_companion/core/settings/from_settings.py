@@ -10,6 +10,7 @@ import numpy.typing as npt
 from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid
 from ekf_companion.core.memory.parameters import PARAMETERS, Parameters
+from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Kind
@@ -76,6 +77,11 @@ def parameters(
     k.limit_pos = gate.limit_position
     k.gravity = STANDARD_GRAVITY
     k.keeps_bias = habit.keeps_bias
+    k.weighs_faults = ("off", "report", "act").index(settings.weigh_faults)
+    for fault, prior in FAULTS.items():
+        of = k.fault[fault]
+        of.rows, of.std, of.tail, of.rate = prior.rows, prior.std, prior.tail, prior.rate
+        of.every, of.shows, of.source = prior.every, prior.shows, prior.source
     return numbers
 
 

@@ -31,6 +31,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import hypotheses
 from cython.cimports.libc.math import fabs, isnan, log, sqrt
 
 LONGEST_RUN = cython.declare(cython.double, 40.0)
@@ -118,12 +119,16 @@ def fuse_judged(
     x.is_denied[aid] = 1.0 if is_denied else 0.0
     x.nis_sum[aid] += (nis if nis < hard and not is_denied else hard) / o.rows
     x.nis_n[aid] += 1.0
+    if o.has_bank and not isnan(nis):
+        hypotheses.judge(x, k, o, aid)
     if is_denied or not nis <= hard:
         count_judged(x, aid, VERDICT_DENIED if nis <= hard else VERDICT_GATED)
         if x.refused_t[aid] <= x.used_t[aid]:
             x.refused_t[aid] = x.t
         if aid < AID_HEADING:
             add_to_run(x, o, aid)
+        if o.has_bank:
+            o.bank[0].is_observed = 0
         return False
     if nis > soft:
         inflate_noise(o, nis / soft)

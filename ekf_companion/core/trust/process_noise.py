@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.memory.enums import AID_BARO, AIDS, AZIMUTH_FIELD, E_HEADING
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    AIDS,
+    AZIMUTH_FIELD,
+    E_HEADING,
+    WEIGH_ACT,
+)
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Motion
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -26,6 +32,8 @@ def heading_level(x: State, k: Parameters) -> float:
     While nothing shows the error, its variance is the level already, and nothing changes.
     """
     level = x.heading_std * x.heading_std
+    if k.weighs_faults == WEIGH_ACT and x.heading_offset * x.heading_offset > 9.0 * level:
+        return x.heading_offset * x.heading_offset
     if x.azimuth != AZIMUTH_FIELD or k.learn_noise == 0.0:
         return level
     seen = x.heading_offset * x.heading_offset + x.P[E_HEADING][E_HEADING]

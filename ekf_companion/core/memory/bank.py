@@ -1,0 +1,167 @@
+"""The bank of fault hypotheses: what the estimate would be off by, if a fault had begun.
+
+``setup.py`` makes ``bank.pxd`` from it. What lies before ``T`` outlives a step, as far as there are
+instances; so a snapshot copies that and no more.
+"""
+
+from typing import Annotated
+
+from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
+from ekf_companion.core.memory.enums import AIDS, FAULTS, SOURCES, N
+
+INSTANCES = 192
+"""Most that are kept; the least probable goes where there is no room."""
+FOUND = 32
+"""Faults that are kept to be told."""
+MOVING = 15
+"""Error states that a transition mixes: attitude, velocity, position, both biases."""
+
+
+@struct
+class Instance:
+    """One fault that began at one time, and how the state would be off by it."""
+
+    kind: Count
+    """:class:`~.enums.Fault`."""
+    level: Count
+    """It stands for 2^level onsets."""
+    t0: Real
+    """Onset, ns."""
+    mass: Real
+    """Time in which it may have begun, h: its own and of those that went into it."""
+    evidence: Real
+    """Log-likelihood of what came since, beside that of no fault."""
+    p: Real
+    """Its posterior probability."""
+    is_wide: Real
+    """It is of the tenth that is larger by orders of magnitude."""
+    recent: Real
+    """Mean NIS a row of the last readings that it shows in."""
+    readings: Real
+    """How many there were."""
+    rows: Count
+    """Components of b."""
+    b: Annotated[Vector, 3]
+    """The fault's mean, in its unit."""
+    M: Annotated[Vector, 3, 3]
+    """Its covariance."""
+    U: Annotated[Vector, 3, N]
+    """The state's error by each component: the right estimate is x + U b."""
+
+
+@struct
+class Found:
+    """A fault that was beyond doubt."""
+
+    kind: Count
+    """:class:`~.enums.Fault`."""
+    onset: Real
+    """ns."""
+    until: Real
+    """When it was so last, ns."""
+    b: Annotated[Vector, 3]
+    """Its mean then, in its unit."""
+
+
+@struct
+class Trial:
+    """What an instance learns from one reading, before that is taken."""
+
+    T: Annotated[Vector, 3, 3]
+    """Whitened."""
+    b: Annotated[Vector, 3]
+    M: Annotated[Vector, 3, 3]
+    gain: Annotated[Vector, 3]
+    """M T'."""
+    spread: Real
+    """Sum of the logarithms of what the fault adds to the variances of the rows."""
+
+
+@struct
+class Bank:
+    """All instances; how the state has moved since their columns followed it; who repeats."""
+
+    resets: Real
+    """Of the state, when they were counted last."""
+    redrawn: Annotated[Vector, N]
+    """Likewise of each error state."""
+    fix_t: Real
+    """Of the last fix by which instances began, ns."""
+    begun_t: Annotated[Vector, AIDS]
+    """When the last ones of each spacing began, ns."""
+    weighed_t: Annotated[Vector, AIDS]
+    """When a reading of each aid was weighed last, ns."""
+    Phi: Annotated[Vector, MOVING, MOVING]
+    """Transition since the columns followed."""
+    faded: Annotated[Vector, 3]
+    """Share that is left of the slow errors of heading, position and velocity since then."""
+    sum: Annotated[Vector, AIDS, 3]
+    """Of the whitened innovations of each aid in the block that is being filled."""
+    count: Annotated[Vector, AIDS]
+    block_t: Annotated[Vector, AIDS]
+    """Begin of that block, ns."""
+    common: Annotated[Vector, AIDS]
+    """How many readings in a row say the same, as learnt: one, if they are white."""
+    nothing: Real
+    """Posterior probability that nothing is wrong."""
+    acts: Real
+    """What it finds is repaired, and what is shown is the mixture."""
+    since: Annotated[Vector, SOURCES]
+    """Since when a source is beyond doubt, ns."""
+    declared: Annotated[Vector, FAULTS]
+    """How often each kind was."""
+    held: Annotated[Vector, 4]
+    """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
+    drift: Annotated[Vector, 4]
+    """Rate at which a declared slide goes on: position n e d, barometer, m/s."""
+    drift_var: Annotated[Vector, 4]
+    drift_t: Annotated[Vector, 4]
+    """Since when, ns."""
+    driven_t: Annotated[Vector, 4]
+    """Until when it was driven, ns."""
+    taken: Annotated[Vector, FAULTS, 3]
+    """What is taken off the readings: of declared faults that no error state holds."""
+    taken_var: Annotated[Vector, FAULTS, 3]
+    explained: Annotated[Vector, AIDS]
+    """Recent mean NIS a row by the best explanation."""
+    window_t: Real
+    """Begin of the window of the inertial noise, ns."""
+    has_outlier: Real
+    """It holds a reading beyond its gate."""
+    lam: Annotated[Vector, 6]
+    """Sum over the window of T' y: accelerometer, gyro."""
+    Lam: Annotated[Vector, 6]
+    """Sum of T' T."""
+    hold_t: Real
+    """Until when nothing is declared: the inertial noise has just grown, ns."""
+    failed_t: Annotated[Vector, SOURCES]
+    """When each source was declared last, ns."""
+    log_share: Real
+    """Logarithm of the share of the configured inertial noise."""
+    information: Real
+    """Of that, from the last minute."""
+    mean: Annotated[Vector, 9]
+    """What the mixture adds to attitude, velocity, position."""
+    spread: Annotated[Vector, 9, 9]
+    """What it adds to their covariance."""
+    found: Annotated[Structs, Found, FOUND]
+    """What was beyond doubt for long enough; the newest of many takes the place of the last."""
+    finds: Count
+    n: Count
+    is_observed: Count
+    """T is of the observation that is being judged."""
+    instance: Annotated[Structs, Instance, INSTANCES]
+    T: Annotated[Vector, INSTANCES, 3, 3]
+    """What a component adds to each row of the innovation."""
+    work: Annotated[Vector, N]
+    before: Annotated[Vector, 4]
+    """Rates of declared slides before the last was declared, m/s."""
+    ahead: Annotated[Vector, 3, 9]
+    """Columns of an instance as of now."""
+    field_slope: Annotated[Vector, 2]
+    """What a field in n does to the last azimuth, rad/gauss."""
+    trial: Trial
+
+
+BANK = doubles(Bank)
+"""Of numbers of 8 bytes."""

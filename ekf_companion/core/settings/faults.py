@@ -1,0 +1,68 @@
+"""What may begin to be wrong: how large, how often, and where it shows.
+
+Widths and rates are what devices do, all of them in the same units, so that the odds of two faults
+can be compared; none is a threshold. Where two sources can say the same, both have the same shapes.
+"""
+
+from dataclasses import dataclass
+
+from ekf_companion.core.memory.enums import Fault, Shows, Source
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of a kind of fault before it shows."""
+
+    source: Source
+    """Whose it is."""
+    rows: int
+    """Its components."""
+    std: float
+    """One sigma of each, in its unit."""
+    tail: float
+    """The same of the tenth that is larger by orders of magnitude; as ``std``: none is."""
+    rate: float
+    """How often it begins in an hour."""
+    every: float
+    """Time between two onsets that are told apart, s; 0: each reading is one."""
+    shows: Shows
+
+
+STEP, RAMP = 0.0, 1.0
+"""A step of nine sigma between two onsets would fit neither; of a ramp a second more or less is
+hardly seen. (Onsets of steps every 2 s: 293 s of lies in 105 flights, by the prototype.)"""
+LEVEL, VERTICAL, ALL = Shows.LEVEL, Shows.VERTICAL, Shows.ALL
+
+FAULTS = {
+    # of the receiver: m, m/s; three steps in ten hours, by reflections
+    Fault.POSITION_STEP: Prior(Source.POSITION, 2, 30.0, 1000.0, 0.3, STEP, LEVEL),
+    Fault.POSITION_RAMP: Prior(Source.POSITION, 2, 1.0, 10.0, 0.3, RAMP, LEVEL),
+    Fault.DRAG: Prior(Source.DRAG, 2, 1.0, 30.0, 0.1, RAMP, LEVEL),
+    Fault.VELOCITY_STEP: Prior(Source.VELOCITY, 2, 1.0, 30.0, 0.1, STEP, LEVEL),
+    Fault.VELOCITY_SCALE: Prior(Source.VELOCITY, 1, 0.05, 0.05, 0.02, RAMP, ALL),
+    Fault.VELOCITY_LAG: Prior(Source.VELOCITY, 1, 0.3, 0.3, 0.02, RAMP, ALL),
+    Fault.CLIMB_STEP: Prior(Source.CLIMB, 1, 1.0, 30.0, 0.1, STEP, VERTICAL),
+    Fault.HEIGHT_STEP: Prior(Source.HEIGHT, 1, 15.0, 300.0, 0.3, STEP, VERTICAL),
+    Fault.HEIGHT_RAMP: Prior(Source.HEIGHT, 1, 0.5, 5.0, 0.3, RAMP, VERTICAL),
+    # of the barometer: m, m/s, m at 15 m/s
+    Fault.FALL: Prior(Source.FALL, 1, 1.0, 30.0, 0.1, RAMP, VERTICAL),
+    Fault.BARO_STEP: Prior(Source.BARO, 1, 5.0, 100.0, 0.1, STEP, VERTICAL),
+    Fault.BARO_RAMP: Prior(Source.BARO, 1, 0.3, 3.0, 0.3, RAMP, VERTICAL),
+    Fault.BARO_SPEED: Prior(Source.BARO, 1, 2.0, 2.0, 0.1, RAMP, VERTICAL),
+    # of the inertial sensors: m/s^2, rad/s; and of what was integrated of them: rad, rad, m/s
+    Fault.ACCEL_STEP: Prior(Source.ACCEL, 3, 0.2, 2.0, 0.1, RAMP, ALL),
+    Fault.GYRO_STEP: Prior(Source.GYRO, 3, 0.02, 0.2, 0.05, RAMP, ALL),
+    Fault.TILT: Prior(Source.STATE, 2, 0.05, 0.5, 1.0, RAMP, ALL),
+    Fault.YAW: Prior(Source.STATE, 1, 0.3, 0.3, 0.02, RAMP, ALL),
+    Fault.KICK: Prior(Source.STATE, 3, 0.5, 0.5, 1.0, RAMP, ALL),
+    # of the heading: gauss, gauss, rad
+    Fault.FIELD: Prior(Source.COMPASS, 2, 0.1, 1.0, 0.3, STEP, LEVEL),
+    Fault.BODY_FIELD: Prior(Source.COMPASS, 3, 0.1, 1.0, 0.1, STEP, LEVEL),
+    Fault.HEADING_STEP: Prior(Source.HEADING, 1, 0.3, 3.0, 0.3, STEP, LEVEL),
+    # no fault: its share of the noise follows from what a second of it does
+    Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
+    Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
+    # of the installation: s, m
+    Fault.DELAY: Prior(Source.DELAY, 1, 0.15, 0.15, 0.1, RAMP, ALL),
+    Fault.LEVER: Prior(Source.LEVER, 3, 0.5, 0.5, 0.1, RAMP, ALL),
+}

@@ -1,0 +1,436 @@
+"""Fault hypotheses: what may have begun to be wrong, weighed by what every reading says.
+
+An instance is one kind of fault that began at one time: a constant b, normal with the prior of its
+kind. If it is the right one, an innovation is ``r = T b + noise`` with ``T = H U + D``, of
+covariance ``S + T M T'``; so each reading adds to its evidence beside that of no fault, and says
+more of b. An onset is tried at each reading, and kept in an exponential histogram: two instances of
+a kind for each power of two of onsets, the two oldest of a full level become one of the next.
+
+Each has its own gate: 80 m are an outlier where nothing is wrong, and none where a step began. An
+outlier costs a reading no more than that it may be one of 200 that lie anywhere within 100 sigma.
+
+Source: Willsky and Jones 1976 (generalized likelihood ratio); Joerger and Pervan 2013 (posterior).
+"""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank, Instance, Trial
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    AID_HEADING,
+    AID_HEIGHT,
+    AID_POSITION,
+    AID_VELOCITY,
+    AIDS,
+    AZIMUTH_MAGNETIC,
+    FAULT_ACCEL_NOISE,
+    FAULT_ACCEL_STEP,
+    FAULT_BARO_SPEED,
+    FAULT_BARO_STEP,
+    FAULT_BODY_FIELD,
+    FAULT_DELAY,
+    FAULT_FALL,
+    FAULT_FIELD,
+    FAULT_GYRO_NOISE,
+    FAULT_HEADING_STEP,
+    FAULT_HEIGHT_RAMP,
+    FAULT_KICK,
+    FAULT_POSITION_STEP,
+    MODE_NAVIGATE,
+    SHOWS_LEVEL,
+    SHOWS_VERTICAL,
+    SOURCE_NOISE,
+    SOURCES,
+    N,
+)
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
+from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import score, shape
+from cython.cimports.libc.math import exp, log
+
+GATE = cython.declare(cython.double, 9.0)
+"""NIS a row beyond which a reading teaches an instance less, as if its noise had been larger."""
+OUTLIER = cython.declare(cython.double, 10.6)
+"""2 ln 200: one reading of 200 is an outlier."""
+OUTLIER_ROW = cython.declare(cython.double, 9.4)
+"""2 ln (2 * 100 / sqrt(2 pi)) and a margin, a row: it lies anywhere within 100 sigma."""
+SURER = cython.declare(cython.double, 3.0)
+"""By so much a component, in nats, the younger of two must be better to stay: it has not yet paid
+for what it leaves open."""
+EXCLUDED = cython.declare(cython.double, -6.0)
+"""Evidence below which a fault has not begun then: its size is known to be none."""
+SETTLED = cython.declare(cython.double, 1e10)
+"""Age before which none is excluded, ns."""
+OLDEST = cython.declare(cython.double, 2e11)
+"""Age beyond which an instance that says nothing goes, ns."""
+OFTEN = cython.declare(cython.double, 0.95e9)
+"""Time between two onsets of those that are tried once a second, ns: stamps jitter."""
+BLOCK = cython.declare(cython.double, 2e9)
+"""Time over which innovations of an aid are summed to see what they have in common, ns."""
+MEMORY = cython.declare(cython.double, 10.0)
+"""Blocks that this is learnt over."""
+LARGEST = cython.declare(cython.double, 3.0)
+"""Largest whitened innovation that counts there, sigmas."""
+WINDOW = cython.declare(cython.double, 0.95e9)
+"""Time over which the inertial noise is learnt as a constant, ns: over ten seconds a slow wave is
+none."""
+RECENT = cython.declare(cython.double, 10.0)
+"""Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
+OPEN = cython.declare(cython.double, 0.25)
+"""Least variance of the size, of its prior, down to which it is open: half the sigma."""
+LN_TEN = cython.declare(cython.double, 2.302585092994046)
+AGAIN = cython.declare(cython.double, 100.0)
+"""How much more often a source fails that has just failed: a receiver among houses."""
+FADES = cython.declare(cython.double, 60e9)
+"""ns."""
+LEAST = cython.declare(cython.double, 1e-300)
+"""Least odds of nothing beside the most probable fault."""
+SPACING = cython.declare(cython.double, 0.095e9)
+"""Least time between two readings of one aid that are weighed, ns: a compass at 50 Hz says little
+more than at 10. They correct the state, and so the columns, all the same."""
+
+
+def begin(b: Bank) -> None:
+    """Begin with no instance."""
+    b.n = 0
+    b.is_observed = 0
+    b.fix_t = NEVER
+    b.nothing = 1.0
+    for source in range(SOURCES):
+        b.since[source] = NEVER
+    for aid in range(AIDS):
+        b.begun_t[aid] = NEVER
+        b.weighed_t[aid] = NEVER
+        if not b.common[aid] >= 1.0:
+            b.common[aid] = 1.0
+    score.begin(b)
+    columns.stand(b)
+
+
+def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
+    """Weigh an observation as :func:`~.update.innovate` left it, before it corrects anything."""
+    b = address(o.bank[0])
+    if x.resets != b.resets or x.mode != MODE_NAVIGATE or x.needs_reset != 0.0:
+        begin(b)
+        b.resets = x.resets
+    if x.mode != MODE_NAVIGATE or x.needs_reset != 0.0 or x.has_yaw == 0.0:
+        return
+    columns.follow(x, b)
+    is_weighed = cython.declare(
+        cython.bint, aid <= AID_VELOCITY or x.t - b.weighed_t[aid] >= SPACING
+    )
+    if is_weighed:
+        begin_instances(x, k, b, aid)
+        b.weighed_t[aid] = x.t
+    columns.observe(b, o)
+    b.is_observed = 1
+    for i in range(b.n):
+        h = address(b.instance[i])
+        shape.add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
+    if not is_weighed:
+        return
+    share = 1.0 / learn_common(x, b, o, aid)
+    nothing = 0.0
+    for r in range(o.rows):
+        nothing += o.y[r] * o.y[r]
+    nothing = cost(nothing, o.rows)
+    for i in range(b.n):
+        weigh_reading(k, b, i, o, aid, nothing, share)
+    thin(x, b)
+    find_posterior(x, k, b)
+    if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
+        shape.keep_field_slope(b, o)
+
+
+def cost(nis: float, rows: int) -> float:
+    """Return what a NIS costs, in its own unit, where the reading may be an outlier as well."""
+    most = OUTLIER + OUTLIER_ROW * rows
+    least = nis if nis < most else most
+    return least - 2.0 * log(exp(0.5 * (least - nis)) + exp(0.5 * (least - most)))
+
+
+def weigh_reading(
+    k: Parameters, b: Bank, i: int, o: Observation, aid: int, nothing: float, share: float
+) -> None:
+    """Add what a reading says to the evidence of an instance, and learn its b from it."""
+    h = address(b.instance[i])
+    to = address(b.trial)
+    rows = h.rows
+    shown = 0.0
+    for r in range(o.rows):
+        for c in range(rows):
+            s = b.T[i][r][c]
+            for j in range(r):
+                s -= o.L[r][j] * to.T[j][c]
+            to.T[r][c] = s / o.L[r][r]
+            shown += to.T[r][c] * to.T[r][c]
+    if shown == 0.0:
+        return
+    if k.fault[h.kind].source == SOURCE_NOISE:
+        if aid != AID_HEADING:
+            score.add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
+        return
+    nis = try_reading(h, to, o, rows, 1.0)
+    if nis > GATE * o.rows and h.is_wide == 0.0 and is_open(k, h):
+        widen(k, h)
+        nis = try_reading(h, to, o, rows, 1.0)
+    h.readings += 1.0
+    h.recent += (nis / o.rows - h.recent) / (h.readings if h.readings < RECENT else RECENT)
+    h.evidence += 0.5 * share * (nothing - cost(nis, o.rows) - to.spread)
+    if nis > GATE * o.rows:
+        try_reading(h, to, o, rows, nis / (GATE * o.rows))
+    for c in range(rows):
+        h.b[c] = to.b[c]
+        for j in range(rows):
+            h.M[c][j] = to.M[c][j]
+
+
+def is_open(k: Parameters, h: Instance) -> bool:
+    """Return whether the size of a fault is hardly known yet: what was learnt stays learnt."""
+    prior = k.fault[h.kind].std * k.fault[h.kind].std
+    for c in range(h.rows):
+        if h.M[c][c] < OPEN * prior:
+            return False
+    return True
+
+
+def widen(k: Parameters, h: Instance) -> None:
+    """Take an instance for one of the tenth that is far larger, at what that costs."""
+    ratio = k.fault[h.kind].tail / k.fault[h.kind].std
+    h.is_wide = 1.0
+    if ratio <= 1.0:
+        return
+    h.evidence -= LN_TEN
+    for c in range(3):
+        for j in range(3):
+            h.M[c][j] *= ratio * ratio
+
+
+def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float) -> float:
+    """Learn b from a whitened reading of that variance; return its NIS."""
+    nis = 0.0
+    to.spread = 0.0
+    for c in range(rows):
+        to.b[c] = h.b[c]
+        for j in range(rows):
+            to.M[c][j] = h.M[c][j]
+    for r in range(o.rows):
+        e = o.y[r]
+        s = noise
+        for c in range(rows):
+            to.gain[c] = 0.0
+            for j in range(rows):
+                to.gain[c] += to.M[c][j] * to.T[r][j]
+            e -= to.T[r][c] * to.b[c]
+            s += to.T[r][c] * to.gain[c]
+        nis += e * e / s
+        to.spread += log(s)
+        for c in range(rows):
+            to.b[c] += to.gain[c] * e / s
+            for j in range(rows):
+                to.M[c][j] -= to.gain[c] * to.gain[j] / s
+    return nis
+
+
+def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
+    """Learn how many readings of an aid in a row say the same; return it, at least one.
+
+    The square of their sum over their number, over blocks of two seconds: one, if they are white.
+    """
+    if b.count[aid] == 0.0 or x.t - b.block_t[aid] > BLOCK:
+        if b.count[aid] > 1.0:
+            seen = 0.0
+            for r in range(o.rows):
+                seen += b.sum[aid][r] * b.sum[aid][r] / (b.count[aid] * o.rows)
+            b.common[aid] += (seen - b.common[aid]) / MEMORY
+        b.count[aid] = 0.0
+        b.block_t[aid] = x.t
+        for r in range(3):
+            b.sum[aid][r] = 0.0
+    b.count[aid] += 1.0
+    for r in range(o.rows):
+        s = o.y[r]
+        s = LARGEST if s > LARGEST else s
+        s = -LARGEST if s < -LARGEST else s
+        b.sum[aid][r] += s
+    return b.common[aid] if b.common[aid] > 1.0 else 1.0
+
+
+def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
+    """Begin an instance of each kind that this reading may be the first to show.
+
+    What shows in a fix begins with its first row; what another aid alone would show, with that.
+    """
+    if aid == AID_BARO:
+        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SPEED)
+    elif aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
+        begin_kinds(x, k, b, aid, FAULT_FIELD, FAULT_BODY_FIELD)
+    elif aid == AID_HEADING:
+        begin_kinds(x, k, b, aid, FAULT_HEADING_STEP, FAULT_HEADING_STEP)
+    elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
+        b.fix_t = x.fix_t
+        if not x.t - b.window_t < WINDOW:
+            score.end_window(x, k, b)
+            begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
+            begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
+        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
+        begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL)
+
+
+def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
+    """Begin an instance of each of some kinds, of those that are rarer once in a while."""
+    is_due = cython.declare(cython.bint, x.t - b.begun_t[clock] >= OFTEN)
+    if is_due:
+        b.begun_t[clock] = x.t
+    for kind in range(first, last + 1):
+        if is_due or k.fault[kind].every == 0.0:
+            begin_instance(x, k, b, kind, x.fix_dt if clock == AID_POSITION else 0.1)
+
+
+def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> None:
+    """Begin one of a kind; what its onset stands for is the time since the onset before."""
+    if k.fault[kind].source == SOURCE_NOISE:
+        forget_kind(b, kind)
+    fold(b, kind, k.fault[kind].rows)
+    if b.n == INSTANCES:
+        drop_least(k, b)
+    h = address(b.instance[b.n])
+    b.n += 1
+    h.kind = kind
+    h.rows = k.fault[kind].rows
+    h.level = 0
+    h.t0 = x.t
+    h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
+    h.evidence = 0.0
+    h.p = 0.0
+    h.is_wide = 0.0
+    h.recent = 0.0
+    h.readings = 0.0
+    for c in range(3):
+        h.b[c] = 0.0
+        for j in range(3):
+            h.M[c][j] = 0.0
+        h.M[c][c] = k.fault[kind].std * k.fault[kind].std
+        for e in range(N):
+            h.U[c][e] = 0.0
+    shape.begin(h)
+
+
+def fold(b: Bank, kind: int, rows: int) -> None:
+    """Make room for one more onset of a kind: of a full level the two oldest become one."""
+    level = 0
+    while True:
+        count = 0
+        first = -1
+        second = -1
+        for i in range(b.n):
+            h = address(b.instance[i])
+            if h.kind == kind and h.level == level:
+                count += 1
+                if first < 0 or h.t0 < b.instance[first].t0:
+                    second = first
+                    first = i
+                elif second < 0 or h.t0 < b.instance[second].t0:
+                    second = i
+        # of the first level one is to come; of the others it has
+        if count < (2 if level == 0 else 3):
+            return
+        stays = first
+        goes = second
+        if b.instance[second].evidence > b.instance[first].evidence + SURER * rows:
+            stays = second
+            goes = first
+        h = address(b.instance[stays])
+        h.mass += b.instance[goes].mass * exp(b.instance[goes].evidence - h.evidence)
+        level += 1
+        h.level = level
+        drop(b, goes)
+
+
+def drop(b: Bank, i: int) -> None:
+    """Drop an instance; the last one takes its place."""
+    b.n -= 1
+    if i < b.n:
+        b.instance[i] = b.instance[b.n]
+        for r in range(3):
+            for c in range(3):
+                b.T[i][r][c] = b.T[b.n][r][c]
+
+
+def forget_kind(b: Bank, kind: int) -> None:
+    """Drop all instances of a kind."""
+    i = b.n - 1
+    while i >= 0:
+        if b.instance[i].kind == kind:
+            drop(b, i)
+        i -= 1
+
+
+def drop_least(k: Parameters, b: Bank) -> None:
+    """Drop the least probable instance of a fault."""
+    least = -1
+    for i in range(b.n):
+        h = address(b.instance[i])
+        is_fault = cython.declare(cython.bint, k.fault[h.kind].source != SOURCE_NOISE)
+        if is_fault and (least < 0 or h.p < b.instance[least].p):
+            least = i
+    drop(b, least)
+
+
+def thin(x: State, b: Bank) -> None:
+    """Drop what cannot have begun then, and what is old and says nothing."""
+    i = b.n - 1
+    while i >= 0:
+        h = address(b.instance[i])
+        age = x.t - h.t0
+        if (age > SETTLED and h.evidence < EXCLUDED) or (age > OLDEST and h.evidence < 0.0):
+            drop(b, i)
+        i -= 1
+
+
+def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
+    """Return how much more often a source fails that has just failed: it fades in a minute."""
+    failed_t = b.failed_t[k.fault[h.kind].source]
+    if failed_t <= 0.0:
+        return 1.0
+    return 1.0 + AGAIN * exp((failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
+
+
+def find_posterior(x: State, k: Parameters, b: Bank) -> None:
+    """Find how probable each instance is; what is level and what is vertical may fail apart."""
+    most = 0.0
+    whole = 0.0
+    level = 0.0
+    vertical = 0.0
+    for i in range(b.n):
+        h = address(b.instance[i])
+        h.p = h.evidence + log(k.fault[h.kind].rate * h.mass * again(x, k, b, h) + LEAST)
+        most = h.p if h.p > most else most
+    # all by the largest, so that no exponential is too large
+    for i in range(b.n):
+        h = address(b.instance[i])
+        h.p = exp(h.p - most)
+        if k.fault[h.kind].shows == SHOWS_LEVEL:
+            level += h.p
+        elif k.fault[h.kind].shows == SHOWS_VERTICAL:
+            vertical += h.p
+        else:
+            whole += h.p
+    none = exp(-most)
+    none = none if none > LEAST else LEAST
+    # a pair of one level and one vertical fault is as probable as the product of their odds
+    total = whole + (none + level) * (1.0 + vertical / none)
+    b.nothing = none / total
+    for i in range(b.n):
+        h = address(b.instance[i])
+        h.p /= total
+        if k.fault[h.kind].shows == SHOWS_LEVEL:
+            h.p *= 1.0 + vertical / none
+        elif k.fault[h.kind].shows == SHOWS_VERTICAL:
+            h.p *= 1.0 + level / none

@@ -1,0 +1,302 @@
+"""Repair: what follows from the posterior of the fault hypotheses, and from nothing else.
+
+As long as nothing is beyond doubt, what is shown is the mixture: its mean, and its covariance by
+moments. A source that has been beyond doubt for some fixes is declared: the state becomes
+``x + U b``, its covariance ``P + U M U'``, as if the fault had been a state since its onset; and
+the fault lives on in the slow error of its source, or is taken off the readings.
+
+Source: Friedland 1969; Blackman and Popoli 1999, chapter 6 (moments of a mixture).
+"""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.filter.columns import turn
+from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
+from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
+from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.enums import (
+    E_BARO,
+    E_DELAY,
+    E_GNSS,
+    E_GNSS_VEL,
+    E_HEADING,
+    E_IRON,
+    FAULT_BARO_RAMP,
+    FAULT_BARO_SPEED,
+    FAULT_BARO_STEP,
+    FAULT_BODY_FIELD,
+    FAULT_CLIMB_STEP,
+    FAULT_DELAY,
+    FAULT_FALL,
+    FAULT_FIELD,
+    FAULT_HEADING_STEP,
+    FAULT_HEIGHT_RAMP,
+    FAULT_HEIGHT_STEP,
+    FAULT_LEVER,
+    FAULT_POSITION_RAMP,
+    FAULT_POSITION_STEP,
+    FAULT_VELOCITY_LAG,
+    FAULT_VELOCITY_SCALE,
+    FAULT_VELOCITY_STEP,
+    SHOWS_ALL,
+    SOURCE_DRAG,
+    SOURCE_NOISE,
+    SOURCES,
+    WEIGH_ACT,
+    N,
+)
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
+from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust.hypotheses import drop
+from cython.cimports.libc.math import log
+
+SURE = cython.declare(cython.double, 0.99)
+"""Probability of a source beyond which it is beyond doubt."""
+SUREST = cython.declare(cython.double, 0.9999)
+"""The model itself may be wrong so often."""
+PATIENCE = cython.declare(cython.double, 3.0)
+"""Fixes for which it must be so."""
+SHORTEST = cython.declare(cython.double, 0.6e9)
+"""And for at least so long, ns."""
+SAME_FAULT = cython.declare(cython.double, 5e9)
+"""Time, ns, after which a fault of the same kind is told as another one."""
+UNEXPLAINED = cython.declare(cython.double, 3.0)
+"""Mean NIS a row of the last readings beyond which a fault does not explain them, and waits."""
+UNLIKELY = cython.declare(cython.double, 1e-3)
+"""Probability below which an instance does not count in what is shown."""
+
+
+def decide(x: State, k: Parameters, o: Observation) -> None:
+    """Declare what has been beyond doubt for long enough."""
+    b = address(o.bank[0])
+    patience = PATIENCE * 1e9 * x.fix_dt
+    patience = patience if patience > SHORTEST else SHORTEST
+    for source in range(SOURCES):
+        p = 0.0
+        best = -1
+        for i in range(b.n):
+            h = address(b.instance[i])
+            if k.fault[h.kind].source == source:
+                p += h.p
+                if best < 0 or h.p > b.instance[best].p:
+                    best = i
+        if p < SURE or source == SOURCE_DRAG or source == SOURCE_NOISE:
+            b.since[source] = NEVER
+        elif b.since[source] <= NEVER:
+            b.since[source] = x.t
+        elif x.t < b.hold_t:
+            b.since[source] = x.t
+        elif x.t - b.since[source] >= (
+            patience if b.instance[best].recent < UNEXPLAINED else 2.0 * patience
+        ):
+            tell(x, b, address(b.instance[best]))
+            if k.weighs_faults == WEIGH_ACT:
+                b.since[source] = NEVER
+                repair(x, k, o, best, p)
+                return
+
+
+def tell(x: State, b: Bank, h: Instance) -> None:
+    """Keep what was found; the same fault, found again, has gone on."""
+    last = cython.declare(cython.Py_ssize_t, -1)
+    for i in range(b.finds):
+        if b.found[i].kind == h.kind and x.t - b.found[i].until < SAME_FAULT:
+            last = i
+    if last < 0:
+        last = b.finds if b.finds < FOUND else FOUND - 1
+        b.finds = last + 1
+        b.found[last].kind = h.kind
+        b.found[last].onset = h.t0
+    b.found[last].until = x.t
+    for c in range(3):
+        b.found[last].b[c] = h.b[c]
+
+
+def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
+    """Move the state to where it would be if the fault had been known since its onset."""
+    b = address(o.bank[0])
+    h = address(b.instance[i])
+    kind = h.kind
+    rows = k.fault[kind].rows
+    shows = k.fault[kind].shows
+    columns.follow(x, b)
+    b.declared[kind] += 1.0
+    b.failed_t[k.fault[kind].source] = x.t
+    carry(x, b, h)
+    extend(b, h, 1.0)
+    for e in range(N):
+        o.dx[e] = 0.0
+        for c in range(rows):
+            o.dx[e] += h.U[c][e] * h.b[c]
+    open_offset(x, h, 1.0)
+    add_columns(x, h, rows)
+    open_offset(x, h, -1.0)
+    extend(b, h, -1.0)
+    inject(x, o)
+    doubt_it(k, h, o, p)
+
+    # What is left may fail apart; all else was about another state
+    stays = i
+    j = b.n - 1
+    while j >= 0:
+        other = k.fault[b.instance[j].kind].shows
+        if j != stays and (shows == SHOWS_ALL or other == SHOWS_ALL or other == shows):
+            if stays == b.n - 1:
+                stays = j
+            drop(b, j)
+        j -= 1
+
+
+def doubt_it(k: Parameters, h: Instance, o: Observation, p: float) -> None:
+    """Keep the instance that was declared as its own opposite: that it never was, by what is left.
+
+    Under that the state, and what is taken off the readings, are off by -b from the same onset on.
+    """
+    odds = (1.0 - p) / p if p < SUREST else (1.0 - SUREST)
+    h.evidence = log(odds / (k.fault[h.kind].rate * h.mass))
+    h.p = 1.0 - p
+    for c in range(h.rows):
+        h.b[c] = -h.b[c]
+        turn(h.U[c], o.dx)
+
+
+def carry(x: State, b: Bank, h: Instance) -> None:
+    """Hold what is off by the fault from now on, or let it go on; or take it off the readings."""
+    kind = h.kind
+    since = (x.t - h.t0) * 1e-9
+    for axis in range(4):
+        b.before[axis] = b.drift[axis]
+    if kind == FAULT_POSITION_STEP:
+        for c in range(2):
+            hold(b, c, h.b[c])
+    elif kind == FAULT_POSITION_RAMP:
+        for c in range(2):
+            hold(b, c, h.b[c] * since)
+            drive_on(x, b, c, h.b[c], h.M[c][c])
+    elif kind == FAULT_HEIGHT_STEP:
+        hold(b, 2, h.b[0])
+    elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
+        hold(b, 2, h.b[0] * since)
+        drive_on(x, b, 2, h.b[0], h.M[0][0])
+    elif kind == FAULT_BARO_STEP:
+        hold(b, 3, h.b[0])
+    elif kind == FAULT_BARO_RAMP:
+        hold(b, 3, h.b[0] * since)
+        drive_on(x, b, 3, h.b[0], h.M[0][0])
+    elif is_taken(kind):
+        for c in range(h.rows):
+            b.taken[kind][c] += h.b[c]
+            b.taken_var[kind][c] = h.M[c][c]
+
+
+def is_taken(kind: int) -> bool:
+    """Return whether a fault is taken off the readings: no error state holds it."""
+    return (
+        kind == FAULT_VELOCITY_SCALE
+        or kind == FAULT_VELOCITY_LAG
+        or kind == FAULT_BARO_SPEED
+        or kind == FAULT_LEVER
+    )
+
+
+def extend(b: Bank, h: Instance, sign: float) -> None:
+    """Extend the columns to the error state that holds the fault from now on; -1: take it back."""
+    kind = h.kind
+    if kind == FAULT_VELOCITY_STEP:
+        for c in range(2):
+            h.U[c][E_GNSS_VEL + c] += sign
+    elif kind == FAULT_CLIMB_STEP or kind == FAULT_FALL:
+        h.U[0][E_GNSS_VEL + 2] += sign
+    elif kind == FAULT_BODY_FIELD:
+        for c in range(3):
+            h.U[c][E_IRON + c] += sign
+    elif kind == FAULT_HEADING_STEP:
+        h.U[0][E_HEADING] += sign
+    elif kind == FAULT_FIELD:
+        for c in range(2):
+            h.U[c][E_HEADING] += sign * b.field_slope[c]
+    elif kind == FAULT_DELAY:
+        h.U[0][E_DELAY] += sign
+
+
+def open_offset(x: State, h: Instance, sign: float) -> None:
+    """Let what is not known of an offset that is held be a part of the slow error of its source."""
+    kind = h.kind
+    since = (x.t - h.t0) * 1e-9 * sign
+    if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP:
+        for c in range(2):
+            h.U[c][E_GNSS + c] += sign if kind == FAULT_POSITION_STEP else since
+    elif kind == FAULT_HEIGHT_STEP:
+        h.U[0][E_GNSS + 2] += sign
+    elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
+        h.U[0][E_GNSS + 2] += since
+    elif kind == FAULT_BARO_STEP:
+        h.U[0][E_BARO] += sign
+    elif kind == FAULT_BARO_RAMP:
+        h.U[0][E_BARO] += since
+
+
+def hold(b: Bank, axis: int, offset: float) -> None:
+    """Hold an offset that was found; what jumps has ended to slide."""
+    b.held[axis] += offset
+    b.drift[axis] = 0.0
+
+
+def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
+    """Let a slide go on by a rate that was found; one that ends has the same against it."""
+    b.drift[axis] = b.before[axis] + rate
+    b.drift_var[axis] = var
+    if b.drift[axis] * b.drift[axis] < 9.0 * var:
+        b.drift[axis] = 0.0
+    b.drift_t[axis] = x.t
+    b.driven_t[axis] = x.t
+
+
+def drive(x: State, b: Bank, first: int, last: int) -> None:
+    """Move the offsets of declared slides on to now."""
+    for axis in range(first, last + 1):
+        if b.drift[axis] != 0.0:
+            dt = (x.t - b.driven_t[axis]) * 1e-9
+            before = (b.driven_t[axis] - b.drift_t[axis]) * 1e-9
+            now = (x.t - b.drift_t[axis]) * 1e-9
+            var = b.drift_var[axis] * (now * now - before * before)
+            b.driven_t[axis] = x.t
+            b.held[axis] += b.drift[axis] * dt
+            add_variance(x, E_GNSS + axis if axis < 3 else E_BARO, var)
+
+
+def mix(x: State, k: Parameters, b: Bank) -> None:
+    """Write what the mixture adds to attitude, velocity and position, mean and covariance."""
+    for i in range(9):
+        b.mean[i] = 0.0
+        for j in range(9):
+            b.spread[i][j] = 0.0
+    if b.nothing > 1.0 - UNLIKELY:
+        return
+    for n in range(b.n):
+        h = address(b.instance[n])
+        if h.p < UNLIKELY:
+            continue
+        rows = k.fault[h.kind].rows
+        for i in range(9):
+            b.work[i] = 0.0
+        for c in range(rows):
+            columns.look_ahead(b, h.U[c], b.ahead[c])
+            for i in range(9):
+                b.work[i] += b.ahead[c][i] * h.b[c]
+        for i in range(9):
+            b.mean[i] += h.p * b.work[i]
+            for j in range(9):
+                s = b.work[i] * b.work[j]
+                for c in range(rows):
+                    for d in range(rows):
+                        s += b.ahead[c][i] * h.M[c][d] * b.ahead[d][j]
+                b.spread[i][j] += h.p * s
+    for i in range(9):
+        for j in range(9):
+            b.spread[i][j] -= b.mean[i] * b.mean[j]

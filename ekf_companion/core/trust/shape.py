@@ -1,0 +1,172 @@
+"""Shapes of the faults: where each enters, the state at its onset or the readings since.
+
+What a fault of unit size adds to the state when it begins is ``U``; to a reading it adds ``D``.
+"""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    AID_HEADING,
+    AID_HEIGHT,
+    AID_POSITION,
+    AID_VELOCITY,
+    AZIMUTH_MAGNETIC,
+    E_ATT,
+    E_BA,
+    E_BG,
+    E_DELAY,
+    E_IRON,
+    E_VEL,
+    FAULT_ACCEL_NOISE,
+    FAULT_ACCEL_STEP,
+    FAULT_BARO_RAMP,
+    FAULT_BARO_SPEED,
+    FAULT_BARO_STEP,
+    FAULT_BODY_FIELD,
+    FAULT_CLIMB_STEP,
+    FAULT_DELAY,
+    FAULT_DRAG,
+    FAULT_FALL,
+    FAULT_FIELD,
+    FAULT_GYRO_NOISE,
+    FAULT_GYRO_STEP,
+    FAULT_HEADING_STEP,
+    FAULT_HEIGHT_RAMP,
+    FAULT_HEIGHT_STEP,
+    FAULT_KICK,
+    FAULT_LEVER,
+    FAULT_POSITION_RAMP,
+    FAULT_POSITION_STEP,
+    FAULT_TILT,
+    FAULT_VELOCITY_LAG,
+    FAULT_VELOCITY_SCALE,
+    FAULT_VELOCITY_STEP,
+    FAULT_YAW,
+    FAULTS,
+)
+from cython.cimports.ekf_companion.core.memory.overlay import Dcm
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
+from cython.cimports.ekf_companion.core.memory.state import State
+
+FAST = cython.declare(cython.double, 225.0)
+"""Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
+
+
+def begin(h: Instance) -> None:
+    """Write what a fault of the state adds to it at once: U."""
+    kind = h.kind
+    if kind == FAULT_ACCEL_STEP or kind == FAULT_ACCEL_NOISE:
+        for c in range(3):
+            h.U[c][E_BA + c] = 1.0
+    elif kind == FAULT_GYRO_STEP or kind == FAULT_GYRO_NOISE:
+        for c in range(3):
+            h.U[c][E_BG + c] = 1.0
+    elif kind == FAULT_KICK:
+        for c in range(3):
+            h.U[c][E_VEL + c] = 1.0
+    elif kind == FAULT_TILT:
+        h.U[0][E_ATT] = 1.0
+        h.U[1][E_ATT + 1] = 1.0
+    elif kind == FAULT_YAW:
+        h.U[0][E_ATT + 2] = 1.0
+
+
+def keep_field_slope(b: Bank, o: Observation) -> None:
+    """Keep what a field in n does to the azimuth that is observed."""
+    for c in range(2):
+        b.field_slope[c] = 0.0
+        for i in range(3):
+            b.field_slope[c] += o.H[0][E_IRON + i] * o.C_nb[c][i]
+
+
+def take_off(x: State, o: Observation, aid: int) -> None:
+    """Take off an innovation what declared faults add to it, that no error state holds."""
+    b = address(o.bank[0])
+    if aid == AID_POSITION:
+        o.z[0] -= b.held[0]
+        o.z[1] -= b.held[1]
+    elif aid == AID_HEIGHT:
+        o.z[0] -= b.held[2]
+    elif aid == AID_BARO:
+        o.z[0] -= b.held[3]
+    for kind in range(FAULTS):
+        if b.declared[kind] == 0.0 or b.taken[kind][0] == 0.0:
+            continue
+        for r in range(3):
+            for c in range(3):
+                b.trial.T[r][c] = 0.0
+        add_direct(x, kind, 0.0, o, aid, b.trial.T)
+        for r in range(o.rows):
+            for c in range(3):
+                o.z[r] -= b.trial.T[r][c] * b.taken[kind][c]
+                o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
+
+
+def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: Dcm) -> None:
+    """Add to T what a fault that began some seconds ago adds to the reading itself: D."""
+    if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP or kind == FAULT_DRAG:
+        if aid == AID_POSITION:
+            for r in range(2):
+                T[r][r] += 1.0 if kind == FAULT_POSITION_STEP else since
+        elif aid == AID_VELOCITY and kind == FAULT_DRAG:
+            for r in range(2):
+                T[r][r] += 1.0
+    elif kind == FAULT_HEIGHT_STEP or kind == FAULT_HEIGHT_RAMP:
+        if aid == AID_HEIGHT:
+            T[0][0] += 1.0 if kind == FAULT_HEIGHT_STEP else since
+    elif kind == FAULT_VELOCITY_STEP:
+        if aid == AID_VELOCITY:
+            for r in range(2):
+                T[r][r] += 1.0
+    elif kind == FAULT_FALL:
+        if aid == AID_HEIGHT:
+            T[0][0] += since
+        elif aid == AID_VELOCITY and o.rows == 3:
+            T[2][0] += 1.0
+    elif kind == FAULT_CLIMB_STEP:
+        if aid == AID_VELOCITY and o.rows == 3:
+            T[2][0] += 1.0
+    elif kind == FAULT_VELOCITY_SCALE:
+        if aid == AID_VELOCITY:
+            for r in range(o.rows):
+                T[r][0] += x.vel_n[r]
+    elif kind == FAULT_VELOCITY_LAG:
+        if aid == AID_VELOCITY:
+            for r in range(o.rows):
+                T[r][0] -= o.then.accel_n[r]
+    elif kind == FAULT_BARO_STEP or kind == FAULT_BARO_RAMP:
+        if aid == AID_BARO:
+            T[0][0] += 1.0 if kind == FAULT_BARO_STEP else since
+    elif kind == FAULT_BARO_SPEED:
+        if aid == AID_BARO:
+            speed = 0.0
+            for i in range(3):
+                speed += x.vel_n[i] * x.vel_n[i]
+            T[0][0] += speed / FAST
+    elif kind == FAULT_HEADING_STEP:
+        if aid == AID_HEADING and x.azimuth < AZIMUTH_MAGNETIC:
+            T[0][0] += 1.0
+    elif kind == FAULT_FIELD:
+        if aid == AID_HEADING:
+            for c in range(2):
+                for i in range(3):
+                    T[0][c] += o.H[0][E_IRON + i] * o.C_nb[c][i]
+    elif kind == FAULT_BODY_FIELD:
+        if aid == AID_HEADING:
+            for c in range(3):
+                T[0][c] += o.H[0][E_IRON + c]
+    elif kind == FAULT_DELAY:
+        if aid <= AID_VELOCITY:
+            for r in range(o.rows):
+                T[r][0] += o.H[r][E_DELAY]
+    elif kind == FAULT_LEVER:
+        for c in range(3):
+            if aid == AID_HEIGHT:
+                T[0][c] += o.C_nb[2][c]
+            elif aid == AID_POSITION or aid == AID_VELOCITY:
+                for r in range(o.rows):
+                    T[r][c] += o.C_nb[r][c] if aid == AID_POSITION else o.turn_nb[r][c]

@@ -1,0 +1,141 @@
+"""What began to be wrong is named, when and how large; and nothing is where nothing is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ekf_companion.core.memory.enums import Fault, Source
+from ekf_companion.core.settings.faults import FAULTS
+from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
+from ekf_companion.engine.faults import WORDS
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.nav.measurements import Events, Kind
+from tests.core.flights import between, flight
+
+METRE = 1.0 / 6.371e6
+"""rad of latitude."""
+BEGIN, END = 30.0, 60.0
+"""s."""
+
+
+def pipeline(mode: str = "report") -> Pipeline:
+    """Return an estimator that knows how late the simulated fixes are."""
+    return Pipeline(replace(FilterSettings(), weigh_faults=mode, gnss=GnssSettings(delay=0.12)))
+
+
+def faulty(events: Events, kind: Kind, column: int, by: float, slope: float = 0.0) -> Events:
+    """Return a flight with an error that begins in it: a step and a rate, in SI."""
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    mask = (events.kind == kind) & between(events, BEGIN, END)
+    values = events.values.copy()
+    values[mask, column] += by + slope * (t[mask] - BEGIN)
+    return Events(t_ns=events.t_ns, kind=events.kind, values=values)
+
+
+def found(events: Events, mode: str = "report"):
+    """Return what was found, with onsets in s after the first event."""
+    one = pipeline(mode)
+    one.run(events)
+    first = int(events.t_ns[0])
+    return [(f, 1e-9 * (f.onset_ns - first)) for f in one.found_faults()]
+
+
+CASES = {
+    "position": (Kind.GNSS, 0, 20 * METRE, 0.0, Source.POSITION, 20.0),
+    "far": (Kind.GNSS, 0, 400 * METRE, 0.0, Source.POSITION, 400.0),
+    "slide": (Kind.GNSS, 0, 0.0, 1.0 * METRE, Source.POSITION, 1.0),
+    "height": (Kind.GNSS, 2, 15.0, 0.0, Source.HEIGHT, 15.0),
+    "velocity": (Kind.GNSS, 3, 1.0, 0.0, Source.VELOCITY, 1.0),
+    "climb": (Kind.GNSS, 5, 1.0, 0.0, Source.CLIMB, 1.0),
+    "barometer": (Kind.BARO, 0, 8.0, 0.0, Source.BARO, 8.0),
+    "accelerometer": (Kind.IMU, 3, 0.3, 0.0, Source.ACCEL, 0.3),
+    "gyro": (Kind.IMU, 2, 0.03, 0.0, Source.GYRO, 0.03),
+}
+MODES = [(mode, name) for mode in ("report", "act") for name in CASES]
+MODES.remove(("report", "accelerometer"))
+"""The filter's own rules take that for noise, so that a report sees little of it."""
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("mode", "name"), MODES)
+def test_the_source_is_named_with_onset_and_size(name, mode, seed):
+    kind, column, step, slope, source, size = CASES[name]
+    events, _ = flight("figure-eight", END, seed=seed)
+    told = found(faulty(events, kind, column, step, slope), mode)
+    first, onset = told[0]
+    assert FAULTS[first.kind].source == source
+    if mode == "act":
+        # what a report finds comes later, beside a filter that has followed the fault by then
+        assert abs(onset - BEGIN) < 2.0
+        assert np.linalg.norm(first.size) == pytest.approx(size, rel=0.35)
+
+
+@pytest.mark.parametrize("mode", ["report", "act"])
+@pytest.mark.parametrize("name", ["figure-eight", "hover", "loiter"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_nothing_is_named_where_nothing_is_wrong(name, seed, mode):
+    events, _ = flight(name, 90.0, seed=seed)
+    assert found(events, mode) == []
+
+
+def test_a_report_changes_no_bit():
+    events, _ = flight("figure-eight", END)
+    events = faulty(events, Kind.GNSS, 0, 20 * METRE)
+    off, report = (pipeline(mode).run(events).values for mode in ("off", "report"))
+    assert np.array_equal(off, report, equal_nan=True)
+
+
+def test_late_fixes_find_the_same_to_the_bit():
+    """Whatever the order of arrival within the window, each is weighed in its place, and once."""
+    events, _ = flight("figure-eight", END)
+    events = faulty(events, Kind.GNSS, 0, 20 * METRE)
+    arrival = events.t_ns + np.where(events.kind == Kind.GNSS, 400_000_000, 0)
+    arrival[events.kind == Kind.BARO] += 150_000_000
+    late = events.take(np.argsort(arrival, kind="stable"))
+    in_order, shuffled = pipeline(), pipeline()
+    in_order.run(events)
+    shuffled.run(late)
+    assert in_order.found_faults()
+    assert in_order.found_faults() == shuffled.found_faults()
+    assert in_order._timeline.hypotheses() == shuffled._timeline.hypotheses()
+
+
+def test_probabilities_are_those_of_exclusive_explanations():
+    """All of what is level and nothing vertical, and so on: each alone sums to one at most."""
+    events, _ = flight("figure-eight", END)
+    one = pipeline()
+    one.run(faulty(events, Kind.GNSS, 0, 20 * METRE))
+    held = [(Fault(kind), p) for kind, p, _, _ in one._timeline.hypotheses()]
+    assert all(0.0 <= p <= 1.0 for _, p in held)
+    for shows in (1, 2):
+        of = sum(p for kind, p in held if FAULTS[kind].shows in (0, shows))
+        assert of <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "step", "slope"),
+    [
+        (Kind.GNSS, 0, 20 * METRE, 0.0),
+        (Kind.GNSS, 0, 0.0, 1.0 * METRE),
+        (Kind.GNSS, 2, 15.0, 0.0),
+        (Kind.GNSS, 3, 1.0, 0.0),
+        (Kind.BARO, 0, 8.0, 0.0),
+    ],
+    ids=["position", "slide", "height", "velocity", "barometer"],
+)
+def test_what_is_named_is_repaired(kind, column, step, slope):
+    """With ``act`` the estimate ends where it would have ended without the fault."""
+    events, _ = flight("figure-eight", END)
+    right = pipeline("act").run(events).values[-1, 3:9]
+    wrong = pipeline("act").run(faulty(events, kind, column, step, slope))
+    std = wrong.values[-1, 23:29]
+    off = wrong.values[-1, 3:9] - right
+    assert np.all(np.abs(off[:3]) < np.maximum(3.0 * std[:3], 1.0))
+    assert np.all(np.abs(off[3:]) < 0.3)
+
+
+def test_each_fault_has_its_numbers_and_its_words():
+    assert set(FAULTS) == set(Fault)
+    named = {kind for kind, prior in FAULTS.items() if prior.source != Source.NOISE}
+    assert set(WORDS) == named
