@@ -67,7 +67,7 @@ class Parameter:
 
 DELAY, ARM, NOISES = 0, slice(1, 4), slice(4, 10)
 PARAMETERS = (
-    Parameter(name="delay", unit="s", low=-0.2, high=0.6, begin=0.1, step=0.005, sure=0.05),
+    Parameter(name="delay", unit="s", low=-0.2, high=0.6, begin=0.1, step=0.01, sure=0.05),
     *(
         Parameter(name=axis, unit="m", low=-5.0, high=5.0, begin=0.0, step=0.05, sure=0.15)
         for axis in ("forward", "right", "down")
@@ -109,8 +109,11 @@ CLOSE = 0.02
 """Resolution of the search, logarithm of a noise; of the others, of ``SCALE``."""
 SCALE = np.array([0.3, *(1.0,) * 9])
 """Unit of each parameter in the search: 0.3 s of delay are as far as 1 m, or a factor e."""
-MOST_MOVES, NEAR = 12, 0.05
-"""Newton steps, and the step in sigmas with which they end."""
+MOST_MOVES, NEAR = 12, 0.2
+"""Newton steps, and the step in sigmas with which they end: its square is a share of the variance.
+The noise of the inertial samples about each fix makes the likelihood rough below that."""
+TOO_FAR = 1.92
+"""Loss of log-likelihood beyond which a step went too far: that at the ends of a 95 % interval."""
 USUAL_ROUNDS = 6
 """Times that all flights are run through, usually: what progress is told by."""
 LARGEST = 1.0
@@ -147,7 +150,7 @@ class Fit:
     values: Array
     """Noises as they are."""
     low: Array
-    """Lower ends of the 95 % intervals; NaN: as configured, since the flights do not show it."""
+    """Lower ends of the 95 % intervals."""
     high: Array
     is_shown: Mask
     """Whether the flights show it, or contradict what is configured."""
@@ -216,7 +219,7 @@ def tuned(
     Args:
         config: What is configured.
         theta: The parameters, noises by their logarithm.
-        is_shown: Which of them count.
+        is_shown: Which of them the flights show.
         std: One sigma of the delay, s, and of the lever arm, m.
         learns: Whether noise is learnt in flight, as configured; then inertial noise stays too.
     """
@@ -248,7 +251,8 @@ def configured(config: Config, delay: float) -> Array:
     noises = [gnss.position_std, gnss.height_std, gnss.velocity_std, gnss.timing_std]
     noises += [imu.accel_noise, imu.gyro_noise]
     floor = np.log(np.maximum(noises, 1e-9))
-    return np.clip(np.array([delay, *gnss.lever_arm, *floor]), LOW, HIGH)
+    theta: Array = np.clip(np.array([delay, *gnss.lever_arm, *floor]), LOW, HIGH)
+    return theta
 
 
 # What is done with one flight
@@ -312,22 +316,19 @@ def search(source: Source, config: Config) -> Array | str:
     return likeliest
 
 
-def look(source: Source, theta: Array, free: Mask, config: Config) -> Look | str:
-    """Return the likelihood of a flight about some parameters; else why there is none.
-
-    Only the derivatives by those that are free are known, the others are 0.
-    """
+def look(source: Source, theta: Array, config: Config) -> Look | str:
+    """Return the likelihood of a flight about some parameters; else why there is none."""
     if isinstance(found := _opened(source, config), str):
         return found
     of, h = Likelihood(*found, config), np.diag(STEPS)
     value, slope, curvature = of(theta), np.zeros(N), np.zeros((N, N))
     side = np.zeros(N)
-    for i in np.flatnonzero(free):
+    for i in range(N):
         up, down = of(theta + h[i]), of(theta - h[i])
         slope[i] = (up - down) / (2.0 * STEPS[i])
         side[i] = up + down - 2.0 * value
         curvature[i, i] = side[i] / STEPS[i] ** 2
-    for i, j in combinations(np.flatnonzero(free), 2):
+    for i, j in combinations(range(N), 2):
         both = of(theta + h[i] + h[j]) + of(theta - h[i] - h[j]) - 2.0 * value
         mixed = 0.5 * (both - side[i] - side[j]) / (STEPS[i] * STEPS[j])
         curvature[i, j] = curvature[j, i] = mixed
@@ -374,32 +375,26 @@ def tune(
     with part_of("fleet", "fleet tune"):
         from scipy.stats import t
     fleet = _Fleet(sources, config, executor, progress)
-    theta = fleet.start()
-    free = np.ones(N, dtype=bool)
-    theta, looks, moves = _climb(fleet, theta, free)
-    present = configured(config, float(np.median([one.delay for one in looks])))
-    quantile = float(t.ppf(0.975, len(looks) - 1))
-    half = quantile * _sigma(_left_out(theta, free, looks))
-    unknown = (half > SURE) & (np.abs(present - theta) <= half)
-    if unknown.any():
-        # What the flights do not show stays as it is, and the rest is fitted beside that
-        free = ~unknown
-        theta, looks, moves = _climb(fleet, np.where(free, theta, present), free)
-    others = _left_out(theta, free, looks)
+    theta, looks, moves = _climb(fleet, fleet.start())
+    others = _left_out(theta, looks)
     sigma = _sigma(others)
-    half = np.where(free, quantile * sigma, np.nan)
-    delay_std = math.hypot(sigma[DELAY], _between(looks) if free[DELAY] else 0.0)
-    std = (max(delay_std, LEAST_DELAY_STD), max(float(sigma[ARM].max()), LEAST_ARM_STD))
+    half = float(t.ppf(0.975, len(looks) - 1)) * sigma
+    present = configured(config, float(np.median([one.delay for one in looks])))
+    is_shown = (half <= SURE) | (np.abs(present - theta) > half)
+    std = (
+        max(math.hypot(sigma[DELAY], _between(looks)), LEAST_DELAY_STD),
+        max(float(sigma[ARM].max()), LEAST_ARM_STD),
+    )
     return Fit(
         values=_outer(theta),
         low=_outer(np.clip(theta - half, LOW, HIGH)),
         high=_outer(np.clip(theta + half, LOW, HIGH)),
-        is_shown=free,
+        is_shown=is_shown,
         delay_std=std[0],
         arm_std=std[1],
         flights=len(looks),
         moves=moves,
-        gains=fleet.gains(others, free, std),
+        gains=fleet.gains(others, is_shown, std),
         refused=tuple(fleet.refused),
     )
 
@@ -427,9 +422,9 @@ class _Fleet:
                 return np.asarray(np.median(found, axis=0))
         raise self._too_few(len(self._sources))
 
-    def looks(self, theta: Array, free: Mask) -> list[Look]:
+    def looks(self, theta: Array) -> list[Look]:
         """Return a look at each flight."""
-        task = partial(look, theta=theta, free=free, config=self._config)
+        task = partial(look, theta=theta, config=self._config)
         found: list[Look] = self._each(task, self._sources)
         if len(found) < FEWEST:
             raise self._too_few(len(found))
@@ -474,18 +469,18 @@ class _Fleet:
         )
 
 
-def _climb(fleet: _Fleet, theta: Array, free: Mask) -> tuple[Array, list[Look], int]:
+def _climb(fleet: _Fleet, theta: Array) -> tuple[Array, list[Look], int]:
     """Go to the top from a start; return the parameters, the looks there, and the steps taken."""
     best, top, flights = theta, -math.inf, 0
     for move in range(MOST_MOVES):
-        looks = fleet.looks(theta, free)
+        looks = fleet.looks(theta)
         value = sum(one.value for one in looks)
-        if value < top and len(looks) == flights:
-            theta = 0.5 * (theta + best)  # the step went too far
+        if value < top - TOO_FAR and len(looks) == flights:
+            theta = 0.5 * (theta + best)
             continue
         best, top, flights = theta, value, len(looks)
-        step = np.clip(theta + _newton(free, looks), LOW, HIGH) - theta
-        if (np.abs(step) <= NEAR * _sigma(_left_out(theta, free, looks)))[free].all():
+        step = np.clip(theta + _newton(looks), LOW, HIGH) - theta
+        if (np.abs(step) <= NEAR * _sigma(_left_out(theta, looks))).all():
             return theta, looks, move
         theta = theta + step * min(1.0, LARGEST / float(np.abs(step / SCALE).max()))
     raise LogError(
@@ -494,24 +489,22 @@ def _climb(fleet: _Fleet, theta: Array, free: Mask) -> tuple[Array, list[Look], 
     )
 
 
-def _newton(free: Mask, looks: Sequence[Look]) -> Array:
+def _newton(looks: Sequence[Look]) -> Array:
     """Return the Newton step to the top of the sum of looks; uphill where it curves upwards."""
-    unit = PRIOR * (HIGH - LOW)[free]
-    curvature = -np.sum([one.curvature for one in looks], axis=0)[np.ix_(free, free)]
+    unit = PRIOR * (HIGH - LOW)
+    curvature = -np.sum([one.curvature for one in looks], axis=0)
     levels, axes = np.linalg.eigh(curvature * np.outer(unit, unit))
-    slope = np.sum([one.slope for one in looks], axis=0)[free] * unit
-    step = np.zeros(N)
-    step[free] = unit * (axes @ ((axes.T @ slope) / (np.abs(levels) + 1.0)))
+    slope = np.sum([one.slope for one in looks], axis=0) * unit
+    step: Array = unit * (axes @ ((axes.T @ slope) / (np.abs(levels) + 1.0)))
     return step
 
 
-def _left_out(theta: Array, free: Mask, looks: Sequence[Look]) -> Array:
+def _left_out(theta: Array, looks: Sequence[Look]) -> Array:
     """Return the parameters without each flight, one Newton step from those of all."""
-    steps = [
-        _newton(free, [other for other in looks if other is not one]) - _newton(free, looks)
-        for one in looks
-    ]
-    return np.clip(theta + np.array(steps), LOW, HIGH)
+    here = _newton(looks)
+    steps = [_newton([other for other in looks if other is not one]) - here for one in looks]
+    others: Array = np.clip(theta + np.array(steps), LOW, HIGH)
+    return others
 
 
 def _sigma(others: Array) -> Array:

@@ -12,7 +12,7 @@ from ekf_companion.logs.recording import counted
 
 SHOWN = 5
 """Flights left aside that are named."""
-AS_IT_WAS = "as configured: these flights do not show it"
+OPEN = "these flights do not show it"
 LEARNT = "likeliest; not set, as flights left out are likelier with noise that is learnt"
 
 
@@ -70,9 +70,8 @@ def _noise(found: Fit, i: int, section: str, *, is_set: bool) -> Setting:
 
 
 def _words(found: Fit, i: int) -> str:
-    if not found.is_shown[i]:
-        return f"{PARAMETERS[i].unit}; {AS_IT_WAS}"
-    return f"{PARAMETERS[i].unit}; 95 %: {found.low[i]:.3g} to {found.high[i]:.3g}"
+    words = f"{PARAMETERS[i].unit}; 95 %: {found.low[i]:.3g} to {found.high[i]:.3g}"
+    return words if found.is_shown[i] else f"{words}: {OPEN}"
 
 
 def _notes(found: Fit) -> Iterator[str]:
@@ -97,7 +96,8 @@ def _data(found: Fit) -> dict[str, object]:
     parameters = {
         one.name: {
             "value": float(found.values[i]),
-            "interval": [float(found.low[i]), float(found.high[i])] if found.is_shown[i] else None,
+            "interval": [float(found.low[i]), float(found.high[i])],
+            "is_shown": bool(found.is_shown[i]),
         }
         for i, one in enumerate(PARAMETERS)
     }
