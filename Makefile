@@ -8,7 +8,7 @@ KERNEL := setup.py ekf_companion/core/memory/overlay.pxd ekf_companion/mavlink/d
 STAMP := $(VENV)/.built
 FLYING := $(VENV)/.built-demo
 
-.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity filters lidar delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image release install uninstall installcheck clean
+.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity tune filters lidar delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image release install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -111,9 +111,16 @@ bits: $(STAMP)
 accuracy: $(STAMP)
 	$(BIN)/python -m benchmarks.accuracy
 
+# Who runs the flights of campaigns: ENGINE=dask, a Dask cluster here, or ENGINE=tcp://HOST:8786
+export ENGINE
+
 # Flights with faults from an independent generator: SEEDS of each case, 20 take a quarter of an hour
 truth: $(STAMP)
 	$(BIN)/python -m benchmarks.truth $(if $(SEEDS),--seeds $(SEEDS))
+
+# `fleet tune` on 40 flights of one vehicle whose noise, delay and lever arm are known; ten minutes
+tune: $(STAMP)
+	$(BIN)/python -m benchmarks.tune
 
 # What 30 % more or less of each constant of a file in core does to these: MODULE=gate; a quarter hour
 sensitivity: $(STAMP)

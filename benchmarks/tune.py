@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import engine
 from benchmarks.document import table
 from benchmarks.truth import log, paths
 from benchmarks.truth.cases.case import flown
@@ -22,7 +23,6 @@ from benchmarks.truth.draw import Draw
 from benchmarks.truth.earth import Array
 from ekf_companion.config.config import Config
 from ekf_companion.fleet import tune
-from ekf_companion.fleet.executor import Processes
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.tune import PARAMETERS, Fit
 
@@ -59,7 +59,7 @@ def fit(flights: int, first: int, jobs: int) -> Fit:
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(first, first + flights):
             fly(Path(folder) / f"{seed:05}.csv", seed)
-        return tune.tune(list(Listing([folder])), Config(), Processes(jobs))
+        return tune.tune(list(Listing([folder])), Config(), engine.executor(jobs))
 
 
 def is_held(found: Fit) -> Array:
