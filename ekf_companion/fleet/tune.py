@@ -375,7 +375,11 @@ def tune(
     with part_of("fleet", "fleet tune"):
         from scipy.stats import t
     fleet = _Fleet(sources, config, executor, progress)
-    theta, looks, moves = _climb(fleet, fleet.start())
+    theta, searched = fleet.start()
+    before = 0
+    if fleet.size > 2 * len(searched) >= 2 * FEWEST:  # most of the way is gone by these few
+        theta, _, before = _climb(fleet, theta, searched)
+    theta, looks, moves = _climb(fleet, theta)
     others = _left_out(theta, looks)
     sigma = _sigma(others)
     half = float(t.ppf(0.975, len(looks) - 1)) * sigma
@@ -393,7 +397,7 @@ def tune(
         delay_std=std[0],
         arm_std=std[1],
         flights=len(looks),
-        moves=moves,
+        moves=before + moves,
         gains=fleet.gains(others, is_shown, std),
         refused=tuple(fleet.refused),
     )
@@ -413,19 +417,26 @@ class _Fleet:
         self._config, self._executor, self._progress = config, executor, progress
         self._done, self.refused = 0, list[str]()
 
-    def start(self) -> Array:
-        """Return the median of what some flights show by themselves."""
+    @property
+    def size(self) -> int:
+        """The number of flights."""
+        return len(self._sources)
+
+    def start(self) -> tuple[Array, list[Source]]:
+        """Return the median of what some flights show by themselves, and these flights."""
         while len(self._sources) >= FEWEST:
             # Every so many, so that all parts of a long list are heard
             some = self._sources[:: max(len(self._sources) // SEARCHED, 1)][:SEARCHED]
             if found := self._each(partial(search, config=self._config), some):
-                return np.asarray(np.median(found, axis=0))
+                kept = [one for one in some if one in self._sources]
+                return np.asarray(np.median(found, axis=0)), kept
         raise self._too_few(len(self._sources))
 
-    def looks(self, theta: Array) -> list[Look]:
-        """Return a look at each flight."""
+    def looks(self, theta: Array, some: Sequence[Source] | None = None) -> list[Look]:
+        """Return a look at each flight, or at some."""
         task = partial(look, theta=theta, config=self._config)
-        found: list[Look] = self._each(task, self._sources)
+        items = [one for one in self._sources if some is None or one in some]
+        found: list[Look] = self._each(task, items)
         if len(found) < FEWEST:
             raise self._too_few(len(found))
         return found
@@ -469,11 +480,17 @@ class _Fleet:
         )
 
 
-def _climb(fleet: _Fleet, theta: Array) -> tuple[Array, list[Look], int]:
-    """Go to the top from a start; return the parameters, the looks there, and the steps taken."""
+def _climb(
+    fleet: _Fleet, theta: Array, some: Sequence[Source] | None = None
+) -> tuple[Array, list[Look], int]:
+    """Go to the top from a start, by all flights or by some.
+
+    Returns:
+        The parameters, the looks there, and the steps taken.
+    """
     best, top, flights = theta, -math.inf, 0
     for move in range(MOST_MOVES):
-        looks = fleet.looks(theta)
+        looks = fleet.looks(theta, some)
         value = sum(one.value for one in looks)
         if value < top - TOO_FAR and len(looks) == flights:
             theta = 0.5 * (theta + best)
