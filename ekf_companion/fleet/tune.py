@@ -380,13 +380,13 @@ def tune(
     if fleet.size > 2 * len(searched) >= 2 * FEWEST:  # most of the way is gone by these few
         theta, _, before = _climb(fleet, theta, searched)
     theta, looks, moves = _climb(fleet, theta)
-    others = _left_out(theta, looks)
-    sigma = _sigma(others)
+    others = left_out(theta, looks)
+    sigma = jackknife_sigma(others)
     half = float(t.ppf(0.975, len(looks) - 1)) * sigma
     present = configured(config, float(np.median([one.delay for one in looks])))
     is_shown = (half <= SURE) | (np.abs(present - theta) > half)
     std = (
-        max(math.hypot(sigma[DELAY], _between(looks)), LEAST_DELAY_STD),
+        max(math.hypot(sigma[DELAY], between_flights(looks)), LEAST_DELAY_STD),
         max(float(sigma[ARM].max()), LEAST_ARM_STD),
     )
     return Fit(
@@ -496,8 +496,8 @@ def _climb(
             theta = 0.5 * (theta + best)
             continue
         best, top, flights = theta, value, len(looks)
-        step = np.clip(theta + _newton(looks), LOW, HIGH) - theta
-        if (np.abs(step) <= NEAR * _sigma(_left_out(theta, looks))).all():
+        step = np.clip(theta + newton_step(looks), LOW, HIGH) - theta
+        if (np.abs(step) <= NEAR * jackknife_sigma(left_out(theta, looks))).all():
             return theta, looks, move
         theta = theta + step * min(1.0, LARGEST / float(np.abs(step / SCALE).max()))
     raise LogError(
@@ -506,7 +506,7 @@ def _climb(
     )
 
 
-def _newton(looks: Sequence[Look]) -> Array:
+def newton_step(looks: Sequence[Look]) -> Array:
     """Return the Newton step to the top of the sum of looks; uphill where it curves upwards."""
     unit = PRIOR * (HIGH - LOW)
     curvature = -np.sum([one.curvature for one in looks], axis=0)
@@ -516,21 +516,21 @@ def _newton(looks: Sequence[Look]) -> Array:
     return step
 
 
-def _left_out(theta: Array, looks: Sequence[Look]) -> Array:
+def left_out(theta: Array, looks: Sequence[Look]) -> Array:
     """Return the parameters without each flight, one Newton step from those of all."""
-    here = _newton(looks)
-    steps = [_newton([other for other in looks if other is not one]) - here for one in looks]
+    here = newton_step(looks)
+    steps = [newton_step([other for other in looks if other is not one]) - here for one in looks]
     others: Array = np.clip(theta + np.array(steps), LOW, HIGH)
     return others
 
 
-def _sigma(others: Array) -> Array:
+def jackknife_sigma(others: Array) -> Array:
     """Return the jackknife's sigma of each parameter."""
     n = len(others)
     return np.asarray(np.sqrt((n - 1) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=0)))
 
 
-def _between(looks: Sequence[Look]) -> float:
+def between_flights(looks: Sequence[Look]) -> float:
     """Return one sigma of the delay from flight to flight, beyond what each does not know of it.
 
     Flights count that show the delay by themselves.
