@@ -142,7 +142,7 @@ def main() -> None:
     left, middle, right = figure.subplots(1, 3, sharey=True)
     draw_noise(left, answer, "gyro_noise_rps", "gyro, rad/s/√Hz")
     draw_noise(middle, answer, "accel_noise_mps2", "accel, m/s²/√Hz")
-    draw_noise(right, answer, "gnss_delay_s", "delay beyond the configured, s")
+    draw_noise(right, answer, "gnss_delay_s", "delay learnt, s")
     save(figure, asked.out / "fleet-noise.png")
     first, second = (
         one.filter([name == TUNED_FOR for name in one.column("airframe").to_pylist()])
