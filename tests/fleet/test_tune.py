@@ -278,6 +278,7 @@ def test_flights_of_a_vehicle_show_it_whatever_is_configured(made, tmp_path, pre
     assert found["flights"] == 6
     assert "7.tlog" in found["left_aside"][0]
     assert load_config(written).gnss.delay == pytest.approx(0.25, abs=0.02)
-    again = fleet_tune(folder, *options, "--dask", "local", "--jobs", "2", "--json")
-    assert again.exit_code == 0, again.output
-    assert json.loads(again.stdout) == found
+    if not present:
+        again = fleet_tune(folder, *options, "--dask", "local", "--jobs", "2", "--json")
+        assert again.exit_code == 0, again.output
+        assert json.loads(again.stdout) == found
