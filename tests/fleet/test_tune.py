@@ -265,7 +265,7 @@ def test_flights_of_a_vehicle_show_it_whatever_is_configured(made, tmp_path, pre
     for seed in range(1, 7):
         made(folder, seed)
     (folder / "7.tlog").write_bytes(b"\0" * 1000)
-    (tmp_path / "present.yaml").write_text(present or "gnss: {use_velocity: true}")
+    (tmp_path / "present.yaml").write_text(f"{present or 'gnss: {use_velocity: true}'}\n")
     written = tmp_path / "tuned.yaml"
     options = ("--config", tmp_path / "present.yaml", "-o", written)
     done = fleet_tune(folder, *options, "--jobs", "2", "--json")
