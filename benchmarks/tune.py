@@ -3,7 +3,7 @@
 ``python -m benchmarks.tune`` makes 40 flights by the independent generator of ``make truth``, tunes
 to them, and prints each parameter beside the truth; it ends with exit code 1 if a noise of the
 receiver is off by more than 10 %, the delay by more than 5 ms, or flights left out gain nothing.
-``--fleets 20 --flights 8`` counts how often the intervals hold the truth.
+``--groups`` counts how often the intervals of groups of these flights hold the truth.
 """
 
 from __future__ import annotations
@@ -11,20 +11,21 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import t
 
 from benchmarks import engine
 from benchmarks.document import table
 from benchmarks.truth import log, paths
 from benchmarks.truth.cases.case import flown
 from benchmarks.truth.draw import Draw
-from benchmarks.truth.earth import Array
 from ekf_companion.config.config import Config
 from ekf_companion.fleet import tune
 from ekf_companion.fleet.listing import Listing
-from ekf_companion.fleet.tune import PARAMETERS, Fit
+from ekf_companion.fleet.tune import HIGH, LOW, NOISES, PARAMETERS, Fit
 
 DURATION = 60.0
 """s of each flight."""
@@ -38,10 +39,12 @@ TRUTH = np.array([DELAY, *ARM, 0.5, 0.8, 0.05, 0.0, ACCEL_NOISE, GYRO_NOISE])
 MOST_NOISE, MOST_DELAY = 0.1, 0.005
 """Largest relative error of a noise of the receiver, and error of the delay, s."""
 RECEIVER = (4, 5, 6)
-HELD = (0, *RECEIVER, 8)
+HELD = [0, *RECEIVER, 8]
 """Delay, the receiver's noise and the accelerometer's: what is promised to lie in the intervals."""
-NO_TRUTH = 7
-"""The stamps of the simulated receiver have no error in time."""
+KNOWN = [0, 1, 2, 3, *RECEIVER, 8, 9]
+"""All but the error of the stamps in time, which is none."""
+SIZES, DRAWS = (6, 8, 12, 24), 20
+"""Flights of a group, and how often groups are drawn."""
 
 
 def fly(path: Path, seed: int) -> None:
@@ -56,18 +59,17 @@ def fly(path: Path, seed: int) -> None:
     log.write_log(path, readings)
 
 
+def fly_all(folder: Path, flights: int, first: int) -> None:
+    """Write so many flights from a seed on."""
+    for seed in range(first, first + flights):
+        fly(folder / f"{seed:05}.csv", seed)
+
+
 def fit(flights: int, first: int, jobs: int) -> Fit:
     """Tune to so many flights from a seed on."""
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(first, first + flights):
-            fly(Path(folder) / f"{seed:05}.csv", seed)
+        fly_all(Path(folder), flights, first)
         return tune.tune(list(Listing([folder])), Config(), engine.executor(jobs))
-
-
-def is_held(found: Fit) -> Array:
-    """Return 1 where an interval holds the truth, 0 where it does not, NaN without a truth."""
-    held = (found.low <= TRUTH) & (found.high >= TRUTH)
-    return np.where(np.arange(len(TRUTH)) == NO_TRUTH, np.nan, held)
 
 
 def one(flights: int, first: int, jobs: int) -> int:
@@ -88,21 +90,34 @@ def one(flights: int, first: int, jobs: int) -> int:
     return 0 if is_right and max(fixed - 2.0 * error, learnt - 2.0 * other) > 0.0 else 1
 
 
-def many(fleets: int, flights: int, first: int, jobs: int) -> None:
-    """Print how many intervals hold the truth, over several fleets."""
-    held = []
-    for number in range(fleets):
-        held.append(is_held(fit(flights, first + number * flights, jobs)))
-        rows = [
-            f"{p.name} | {np.nansum(column):.0f} of {np.count_nonzero(np.isfinite(column))}"
-            for p, column in zip(PARAMETERS, np.transpose(held), strict=True)
-        ]
+def groups(flights: int, first: int, jobs: int) -> None:
+    """Print how many intervals hold the truth, of groups that are drawn from so many flights.
+
+    Each group takes one Newton step from the truth: its likelihood is a parabola that near.
+    """
+    theta = TRUTH.copy()
+    theta[NOISES] = np.log(np.maximum(theta[NOISES], 1e-9))
+    theta = np.clip(theta, LOW, HIGH)
+    with tempfile.TemporaryDirectory() as folder:
+        fly_all(Path(folder), flights, first)
+        task = partial(tune.look, theta=theta, config=Config())
+        found = dict(engine.executor(jobs).run(task, list(Listing([folder]))))
+    looks = [found[source] for source in sorted(found, key=lambda one: one.name)]
+    rng, rows = np.random.default_rng(1), []
+    for size in (size for size in SIZES if size <= flights):
+        held = []
+        for _ in range(DRAWS):
+            order = rng.permutation(flights)
+            for start in range(0, flights - size + 1, size):
+                some = [looks[i] for i in order[start : start + size]]
+                top = np.clip(theta + tune.newton_step(some), LOW, HIGH)
+                half = t.ppf(0.975, size - 1) * tune.jackknife_sigma(tune.left_out(theta, some))
+                held.append(np.abs(top - theta) <= half)
+        shares = " | ".join(f"{share:.2f}" for share in np.mean(held, axis=0)[KNOWN])
         promised = np.array(held)[:, HELD]
-        rows.append(f"delay, receiver and accel_noise | {promised.sum():.0f} of {promised.size}")
-        print(
-            f"{number + 1} fleets of {flights} flights", *table("parameter | held", rows), sep="\n"
-        )
-        sys.stdout.flush()
+        rows.append(f"{size} | {promised.sum()} of {promised.size} | {shares}")
+    names = " | ".join(PARAMETERS[i].name for i in KNOWN)
+    print(*table(f"flights | promised | {names}", rows), sep="\n")
 
 
 def main() -> int:
@@ -110,11 +125,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="benchmarks.tune", description=__doc__)
     parser.add_argument("--flights", type=int, default=40)
     parser.add_argument("--first", type=int, default=1, metavar="SEED")
-    parser.add_argument("--fleets", type=int, default=0)
+    parser.add_argument("--groups", action="store_true")
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()
-    if asked.fleets:
-        many(asked.fleets, asked.flights, asked.first, asked.jobs)
+    if asked.groups:
+        groups(asked.flights, asked.first, asked.jobs)
         return 0
     return one(asked.flights, asked.first, asked.jobs)
 
