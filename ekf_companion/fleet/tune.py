@@ -381,7 +381,8 @@ def tune(
         theta, _, before = _climb(fleet, theta, searched)
     theta, looks, moves = _climb(fleet, theta)
     others = left_out(theta, looks)
-    sigma = jackknife_sigma(others)
+    # A parameter that no flight feels does not scatter either
+    sigma = np.maximum(jackknife_sigma(others), information_sigma(looks))
     half = float(t.ppf(0.975, len(looks) - 1)) * sigma
     present = configured(config, float(np.median([one.delay for one in looks])))
     is_shown = (half <= SURE) | (np.abs(present - theta) > half)
@@ -508,12 +509,23 @@ def _climb(
 
 def newton_step(looks: Sequence[Look]) -> Array:
     """Return the Newton step to the top of the sum of looks; uphill where it curves upwards."""
+    step: Array = _covariance(looks) @ np.sum([one.slope for one in looks], axis=0)
+    return step
+
+
+def information_sigma(looks: Sequence[Look]) -> Array:
+    """Return the sigma of each parameter by the curvature, as if the model were right."""
+    sigma: Array = np.sqrt(np.diag(_covariance(looks)))
+    return sigma
+
+
+def _covariance(looks: Sequence[Look]) -> Array:
+    """Return the inverse of the curvature and the prior's, without its sign."""
     unit = PRIOR * (HIGH - LOW)
     curvature = -np.sum([one.curvature for one in looks], axis=0)
     levels, axes = np.linalg.eigh(curvature * np.outer(unit, unit))
-    slope = np.sum([one.slope for one in looks], axis=0) * unit
-    step: Array = unit * (axes @ ((axes.T @ slope) / (np.abs(levels) + 1.0)))
-    return step
+    found: Array = (axes / (np.abs(levels) + 1.0)) @ axes.T * np.outer(unit, unit)
+    return found
 
 
 def left_out(theta: Array, looks: Sequence[Look]) -> Array:

@@ -22,11 +22,13 @@ from ekf_companion.fleet.tune import (
     HIGH,
     LOW,
     PARAMETERS,
+    SURE,
     Fit,
     Likelihood,
     Look,
     between_flights,
     configured,
+    information_sigma,
     jackknife_sigma,
     known,
     left_out,
@@ -83,6 +85,16 @@ def test_the_interval_is_that_of_a_mean_where_all_flights_show_as_much():
     looks, tops = bowls(np.random.default_rng(2), theta, 9)
     expected = tops.std(axis=0, ddof=1) / math.sqrt(9)
     assert jackknife_sigma(left_out(theta, looks)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_parameter_that_no_flight_feels_is_not_known():
+    looks, _ = bowls(np.random.default_rng(5), BEGIN, 6)
+    for one in looks:
+        one.slope[6] = one.curvature[6, :] = one.curvature[:, 6] = 0.0
+    assert jackknife_sigma(left_out(BEGIN, looks))[6] == pytest.approx(0.0, abs=1e-9)
+    sigma = information_sigma(looks)
+    assert sigma[6] > 10.0 * SURE[6]
+    assert (np.delete(sigma, 6) < 0.1 * np.delete(SURE, 6)).all()
 
 
 def test_a_flight_left_out_leaves_the_top_of_the_others():
