@@ -8,7 +8,7 @@ KERNEL := setup.py ekf_companion/core/memory/overlay.pxd ekf_companion/mavlink/d
 STAMP := $(VENV)/.built
 FLYING := $(VENV)/.built-demo
 
-.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity filters lidar delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
+.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth sensitivity tune filters lidar delays sitl fuzz links e2e reconnect endurance soak site wheel wheels deb image release install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -87,6 +87,8 @@ lock: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/zizmor --quiet --offline .github/workflows
 
 types: $(STAMP)
 	$(BIN)/mypy
@@ -109,9 +111,16 @@ bits: $(STAMP)
 accuracy: $(STAMP)
 	$(BIN)/python -m benchmarks.accuracy
 
+# Who runs the flights of campaigns: ENGINE=dask, a Dask cluster here, or ENGINE=tcp://HOST:8786
+export ENGINE
+
 # Flights with faults from an independent generator: SEEDS of each case, 20 take a quarter of an hour
 truth: $(STAMP)
 	$(BIN)/python -m benchmarks.truth $(if $(SEEDS),--seeds $(SEEDS))
+
+# `fleet tune` on 40 flights of one vehicle whose noise, delay and lever arm are known; ten minutes
+tune: $(STAMP)
+	$(BIN)/python -m benchmarks.tune
 
 # What 30 % more or less of each constant of a file in core does to these: MODULE=gate; a quarter hour
 sensitivity: $(STAMP)
@@ -206,6 +215,22 @@ deb:
 DOCKER ?= docker
 image:
 	$(DOCKER) build -f systemd/Containerfile -t ekf-companion .
+
+# Everything of a release, in dist/, of a clean checkout (docs/RELEASE.md): TAG=v1.2.3 must be its
+# version. Without Docker or Podman the only wheel is this system's
+release: $(STAMP)
+	$(BIN)/python -m tests.release check $(TAG)
+	rm -rf dist && mkdir dist
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check build cyclonedx-bom
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --sdist --outdir dist . > /dev/null
+	$(MAKE) $(if $(shell $(DOCKER) info > /dev/null 2>&1 && echo yes),wheels,wheel)
+	$(MAKE) deb
+	cp systemd/Containerfile dist/
+	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+		--output-file dist/SBOM.cdx.json systemd/requirements-run.txt
+	$(BIN)/python -m tests.release notes > dist/NOTES.md
+	cd dist && sha256sum * > SHA256SUMS
+	@ls -sh dist
 
 # The whole way to a board, with all that is downloaded, in a folder of its own
 CHECKED := $(CURDIR)/build/installcheck

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
+from benchmarks.engine import in_order
 from ekf_companion.core.memory.enums import (
     E_ATT,
     E_BA,
@@ -64,24 +64,21 @@ def each(
     jobs: Sequence[Job],
     label: str,
 ) -> list[Result]:
-    """Do all jobs in ``PROCESSES`` and print the progress on stderr; results in the jobs' order.
+    """Do all jobs by the engine and print the progress on stderr; results in the jobs' order.
 
     Args:
         function: Of a module, so that another process finds it.
         jobs: One argument each.
         label: What is counted.
     """
-    if PROCESSES == 1:
-        return [function(job) for job in jobs]
     begin, results = time.monotonic(), []
     step = max(1, len(jobs) // 20)
-    with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
-        for result in pool.imap(function, jobs):
-            results.append(result)
-            if len(results) % step:
-                continue
-            spent = time.monotonic() - begin
-            print(f"{label}: {len(results)} of {len(jobs)}, {spent:.0f} s", file=sys.stderr)
+    for result in in_order(function, jobs, PROCESSES):
+        results.append(result)
+        if len(results) % step:
+            continue
+        spent = time.monotonic() - begin
+        print(f"{label}: {len(results)} of {len(jobs)}, {spent:.0f} s", file=sys.stderr)
     return results
 
 

@@ -6,11 +6,10 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
+from benchmarks.engine import in_order
 from benchmarks.truth import log
 from benchmarks.truth.cases import generate
 from benchmarks.truth.judge import Verdict, judge, read_estimate
@@ -72,11 +71,7 @@ def run(job: Job) -> Outcome:
 
 def run_all(jobs: Iterable[Job], processes: int) -> Iterator[Outcome]:
     """Run jobs, in their order."""
-    if processes == 1:
-        yield from map(run, jobs)
-        return
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run, jobs)
+    yield from in_order(run, jobs, processes)
 
 
 def _write(job: Job, path: Path, truth_path: Path) -> None:

@@ -1,9 +1,11 @@
-"""Likelihood of a log's fixes by delay."""
+"""Likelihood of a log's fixes under some settings, and by delay."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array
 
 JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
-_SCORED = (Verdict.FUSED, Verdict.GATED, Verdict.DENIED)
+_SCORED = (Verdict.FUSED, Verdict.DEWEIGHTED, Verdict.GATED, Verdict.DENIED)
 
 
 class Likelihood:
@@ -24,9 +26,7 @@ class Likelihood:
         """Count from the first of some stamps (s) on, in blocks that end at the other stamps."""
         self._recording = recording
         self._settings = settings
-        newest = np.maximum.accumulate(recording.events.t_ns)
-        stamps = np.rint(edges * 1e9).astype(np.int64)
-        self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
+        self._cuts = cuts_at(recording, edges)
         self._known: dict[int, tuple[Array, int]] = {}
         self.rows = 0
         """Largest number of rows that were judged under one delay."""
@@ -64,13 +64,29 @@ class Likelihood:
         return float(delays[np.argmax(gain)])
 
     def _run(self, delay: float) -> tuple[Array, int]:
-        recording = self._recording
         gnss = replace(self._settings.gnss, delay=delay, delay_std=0.0)
-        pipeline = Pipeline(replace(self._settings, gnss=gnss), recording.family)
-        sums, counts = [], []
-        for first, last in zip(self._cuts, self._cuts[1:], strict=False):
-            pipeline.run(recording.events.take(np.arange(first, last)))
-            sums.append(pipeline.log_likelihood)
-            verdicts = [pipeline.health().verdicts[aid] for aid in JUDGED]
-            counts.append(sum(one[why] for one in verdicts for why in _SCORED))
-        return np.diff(sums), counts[-1] - counts[0]
+        return likelihood(self._recording, replace(self._settings, gnss=gnss), self._cuts)
+
+
+def cuts_at(recording: Recording, edges: Array) -> list[int]:
+    """Return the number of events until each of some stamps, s, after a first cut at the begin."""
+    newest = np.maximum.accumulate(recording.events.t_ns)
+    stamps = np.rint(edges * 1e9).astype(np.int64)
+    return [0, *np.searchsorted(newest, stamps, side="right").tolist()]
+
+
+def likelihood(
+    recording: Recording, settings: FilterSettings, cuts: Sequence[int]
+) -> tuple[Array, int]:
+    """Return the log-likelihood of the fixes between cuts, and how many rows were judged.
+
+    What is before the second cut is run and not counted.
+    """
+    pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
+    sums, counts = [], []
+    for first, last in pairwise(cuts):
+        pipeline.run(recording.events.take(np.arange(first, last)))
+        sums.append(pipeline.log_likelihood)
+        verdicts = [pipeline.health().verdicts[aid] for aid in JUDGED]
+        counts.append(sum(one[why] for one in verdicts for why in _SCORED))
+    return np.diff(sums), counts[-1] - counts[0]

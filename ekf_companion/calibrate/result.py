@@ -91,7 +91,9 @@ def is_known(key: str) -> bool:
 
 
 def spelled(value: Value) -> str:
-    """Return a number, a vector or a matrix as YAML, with three significant digits."""
+    """Return a number, a vector or a matrix as YAML, with three significant digits; or a truth."""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, (int, float)):
         return f"{value:.3g}" if abs(value) >= 1e-4 or value == 0.0 else f"{value:.2e}"
     return f"[{', '.join(spelled(part) for part in value)}]"

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
     from ekf_companion.fleet.questions import Answer
 
 fleet = typer.Typer(
-    help="Ask the results of many logs: the worst, noise, two versions, SQL, a report.",
+    help="Ask the results of many logs: the worst, noise, two versions, SQL, a report; tune.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -135,6 +136,42 @@ def fleet_report(
     with terminal.exit_on_error():
         terminal.check_outputs({}, [("--out", out)])
         page.write(out, table, {name: load(table, name, of) for name in TABLES}, reports)
+
+
+@fleet.command("tune")
+def fleet_tune(
+    logs: Annotated[
+        list[str], typer.Argument(help="Flights of one vehicle: logs, folders, lists, as in batch.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the keys to this .yaml instead.")
+    ] = None,
+    config: terminal.ConfigOption = None,
+    jobs: terminal.JobsOption = 1,
+    dask: terminal.DaskOption = None,
+    as_json: terminal.JsonOption = False,
+) -> None:
+    """Tune noise, GNSS delay and lever arm to the flights of one vehicle: YAML to paste."""
+    from ekf_companion.calibrate.result import lines
+    from ekf_companion.fleet import tune, tuned_settings
+    from ekf_companion.fleet.listing import Listing
+    from ekf_companion.logs.writer import create
+
+    with terminal.exit_on_error():
+        found = list(Listing(logs))
+        inputs: dict[str, Path | None] = {f"the log {log.name}": Path(log.place) for log in found}
+        terminal.check_outputs({**inputs, "the configuration": config}, [("--out", out)])
+        settings = terminal.load(config)
+        with progress_line(f"{len(found)} flights") as progress:
+            fit = tune.tune(found, settings, terminal.executor(jobs, dask), progress)
+        title = f"ekf-companion fleet tune, {fit.flights} of {len(found)} flights"
+        result = tuned_settings.result(fit, settings)
+        text = lines(title, result)
+        if out is None or as_json:
+            terminal.show(as_json, result.to_dict(title), text)
+        if out is not None:
+            with create(out) as file:
+                file.write("\n".join([*text, ""]).encode())
 
 
 def _answer(answer: Answer, out: Path | None, as_json: bool) -> None:
