@@ -18,6 +18,7 @@ from ekf_companion.lidar.deskew import Deskewed, deskew
 from ekf_companion.lidar.motion import Path, Samples, clipped_between, prepare, propagate
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
 from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
+from ekf_companion.lidar.sampling import thin, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
     ATT,
@@ -34,7 +35,7 @@ from ekf_companion.lidar.state import (
 )
 from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_state
 from ekf_companion.lidar.voxel_map import VoxelMap
-from ekf_companion.nav.arrays import Array, Indices
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.nav.so3 import skew
 
@@ -104,7 +105,7 @@ class Odometry:
         if self._is_started:
             return [self._step(scan)]
         self._waiting.append(scan)
-        if len(self._waiting) < start.SCANS:
+        if scan.stamp - self._waiting[0].stamp < start.SPAN:
             return []
         return self._begin()
 
@@ -211,9 +212,7 @@ class Odometry:
 
     def _choose(self, scan: Scan) -> tuple[Array, Array]:
         """Return the points within range, and their times."""
-        square = np.einsum("ni,ni->n", scan.points, scan.points)
-        s = self.settings
-        kept = (square > s.least_range**2) & (square < s.most_range**2)
+        kept = within_range(scan.points, self.settings)
         return scan.points[kept], scan.times[kept]
 
     def _insert(self, scan: Deskewed, stamp: float) -> None:
@@ -317,18 +316,6 @@ def recentred(x: State) -> tuple[State, Array]:
     G[DOWN, DOWN] = to_angles @ C @ direction_by_angles(x.down_w)
     G[DOWN, ATT] = to_angles @ skew(down)
     return here, G
-
-
-def thin(points: Array, size: float, most: int) -> Indices:
-    """Return the index of one point in each voxel, and at most so many, spread evenly."""
-    if not len(points):
-        return np.zeros(0, dtype=np.int64)
-    cell = np.floor(points / size).astype(np.int64) + (1 << 20)
-    key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
-    index = np.sort(np.unique(key, return_index=True)[1])
-    if len(index) > most:
-        index = index[np.linspace(0, len(index) - 1, most).astype(np.int64)]
-    return index
 
 
 def run(recording: Recording, settings: Settings) -> Iterator[Estimate]:
