@@ -43,6 +43,9 @@ PARTS = 3
 """Of a scan in which the gyro is at the end of its range: in each what is beyond is constant."""
 EXCESS_RATE = 1.0
 """Of it, one sigma, rad/s: a hand or a multirotor turns twice as fast as a small range."""
+FIRST_PART = 3.0
+"""Time over which the first part of the map is put in, of that of the others, after a start in
+motion: what one second shows between trees holds nothing by itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,7 +95,7 @@ class Odometry:
         self._waiting: list[Scan] = []
         self._usage: dict[int, float] = {}
         self._count = 0
-        self._is_started = False
+        self._is_started = self._is_moving = False
         self.x = State()
         self.P = np.zeros((N + POSE, N + POSE))
         self._marked: tuple[float, State] | None = None
@@ -126,6 +129,7 @@ class Odometry:
         self.x, P = start.find(scans, self._samples, self._mounting, self.settings, self._delay)
         self._time = scans[0].stamp + self._delay
         self.P[:N, :N] = P
+        self._is_moving = bool(self.x.vel_w.any())
         self._waiting = []
         return [self._step(scan) for scan in scans]
 
@@ -221,7 +225,7 @@ class Odometry:
             self._forget_far()
             self._put(scan, 0)
             return
-        if not self.anchors or stamp - self.anchors[-1].stamp > self.settings.spacing - 0.01:
+        if not self.anchors or stamp - self.anchors[-1].stamp > self._part() - 0.01:
             self._begin_anchor(stamp)
         if not len(scan.points):
             return
@@ -234,6 +238,11 @@ class Odometry:
         self.P[at] += share * (T @ self.P[:N] - self.P[at])
         self.P[:, at] += share * (self.P[:, :N] @ T.T - self.P[:, at])
         self._put(scan, self.anchors[k].number)
+
+    def _part(self) -> float:
+        """Return how long the part of the map that is being made is put in, s."""
+        is_first = len(self.anchors) == 1
+        return self.settings.spacing * (FIRST_PART if is_first and self._is_moving else 1.0)
 
     def _put(self, scan: Deskewed, owner: int) -> None:
         """Put the points of a scan into the map where the state says they are."""

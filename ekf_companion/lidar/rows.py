@@ -37,11 +37,9 @@ SEPARATE = 3.0
 """Ratio of sigmas from which on the filter knows which directions are without hold."""
 AGREEING = 0.2
 """Largest angle to those that the normals show, rad."""
-LEAST_PLANES = 9.0
-"""Planes that a hold must come from, by their weights: one in nine that is of something that moves,
-or of an edge, is then no more than three sigma of the others."""
-PART_PLANES = 4.0
-"""The same of one part of the map: a corner of it is three planes."""
+LEAST_PLANES = 4.0
+"""Planes that a hold must come from, by their weights, in each part of the map and in all: a corner
+is three, and of four one may be of something that moves, or of an edge."""
 CHANCE = 3.0
 """Standard errors by which a hold must exceed the noise of the normals."""
 
@@ -229,8 +227,7 @@ def _hold(shared: Shared, weight: Array) -> _Hold:
     count = sums[:, :3] ** 2 / np.maximum(sums[:, 3:6], 1e-30)
     hold = np.clip(share - CHANCE * chance, 0.0, 1.0)
     hold[hold > 0.98] = 1.0
-    hold[:g][count[:g] < PART_PLANES] = 0.0
-    hold[g][count[g] < LEAST_PLANES] = 0.0
+    hold[count < LEAST_PLANES] = 0.0
     size = np.linalg.norm(white[g], axis=0)
     return _Hold(
         root @ (V * hold[:, None]) @ V.transpose(0, 2, 1) @ inverse,
