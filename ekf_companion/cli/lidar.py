@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,7 +14,13 @@ from ekf_companion.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from ekf_companion.lidar.recording import Mounting
 
-FORMS = (".tum", ".csv")
+FORMS = (".tum", ".csv", ".mcap")
+FILTERS: dict[str, dict[str, Any]] = {
+    "anchors": {},
+    "fast-lio": {"anchors": 0},
+    "lins": {"is_scan_to_scan": True},
+}
+"""Settings of each filter."""
 LEAST_ANGLE, LEAST_SHIFT = 3.0, 0.05
 """Sigma of a mounting that is to be found, deg and m: measured by eye and by tape."""
 LATE = 0.02
@@ -28,7 +34,9 @@ def lidar(
     ],
     outs: Annotated[
         list[Path] | None,
-        typer.Option("--out", "-o", help=".tum, or .csv with sigmas; may be given several times."),
+        typer.Option(
+            "--out", "-o", help=".tum, .csv with sigmas, or .mcap; may be given several times."
+        ),
     ] = None,
     rel: Annotated[
         Path | None, typer.Option(help="Relative poses with their covariance, as .csv.")
@@ -48,6 +56,13 @@ def lidar(
         list[str] | None,
         typer.Option(help="mounting or delay: estimate it too; may be given several times."),
     ] = None,
+    form: Annotated[
+        str,
+        typer.Option(
+            "--filter",
+            help="anchors; lins: scan to last scan; fast-lio: the map is taken as known.",
+        ),
+    ] = "anchors",
     nearest: Annotated[float, typer.Option(min=0.0, help="Leave out nearer points, m.")] = 0.5,
     farthest: Annotated[float, typer.Option(min=1.0, help="Leave out farther points, m.")] = 80.0,
     stamp: Annotated[
@@ -62,6 +77,7 @@ def lidar(
 
     import numpy as np
 
+    from ekf_companion.lidar.mcap_output import write_mcap
     from ekf_companion.lidar.readers import read
     from ekf_companion.lidar.settings import Settings
     from ekf_companion.lidar.solution import lines_of, solve
@@ -73,9 +89,11 @@ def lidar(
         terminal.check_outputs({"the recording": recording}, list(outputs))
         for out in outs or []:
             if out.suffix not in FORMS:
-                raise ConfigError(f"--out: {out}: is a .tum or a .csv; name one of them")
+                raise ConfigError(f"--out: {out}: is a .tum, .csv or .mcap; name one of them")
         if wrong := set(find or []) - {"mounting", "delay"}:
             raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
+        if form not in FILTERS:
+            raise ConfigError(f"--filter: {form}: is anchors, lins or fast-lio")
         if stamp not in (None, "start", "middle", "end"):
             raise ConfigError(f"--stamp: {stamp}: is start, middle or end")
         if nearest >= farthest:
@@ -96,6 +114,7 @@ def lidar(
                 most_range=farthest,
                 is_mounting_estimated="mounting" in (find or []),
                 delay_sigma=LATE if "delay" in (find or []) else 0.0,
+                **FILTERS[form],
             )
             solution = solve(found, settings)
         if not solution.estimates:
@@ -105,6 +124,9 @@ def lidar(
         kinds += [(cloud, "ply")] if cloud is not None else []
         for path, kind in kinds:
             with create(path) as file:
+                if kind == ".mcap":
+                    write_mcap(solution, file)
+                    continue
                 for line in lines_of(solution, kind):
                     file.write(f"{line}\n".encode())
     verdict, remarks = solution.verdict(), solution.remarks()

@@ -3,7 +3,8 @@
 The filter keeps the pose together with anchors, poses of the past that the planes of its local map
 are tied to. A scan measures the pose relative to those; what is not known of an anchor stays
 unknown, so that the covariance of a relative pose and of the pose since the start are both honest.
-With no anchors the map is taken as known: FAST-LIO's form.
+With no anchors the map is taken as known: FAST-LIO's form. With the last scan as the map and its
+pose as the only anchor the pose relative to it begins without covariance: LINS's form.
 """
 
 from __future__ import annotations
@@ -225,6 +226,8 @@ class Odometry:
             self._forget_far()
             self._put(scan, 0)
             return
+        if self.settings.is_scan_to_scan and len(scan.points):
+            self._forget_all()
         if not self.anchors or stamp - self.anchors[-1].stamp > self._part() - 0.01:
             self._begin_anchor(stamp)
         if not len(scan.points):
@@ -261,6 +264,12 @@ class Odometry:
         self._insertions = 0
         self._forget_far()
         self._drop_anchors()
+
+    def _forget_all(self) -> None:
+        """Begin another map, without anchors."""
+        self.map = VoxelMap(self.settings)
+        self.anchors, self._usage = [], {}
+        self.P = self.P[: first(0), : first(0)]
 
     def _forget_far(self) -> None:
         """Keep the map within its radius and its number of voxels."""
