@@ -9,7 +9,7 @@ import typer
 
 from ekf_companion.cli import terminal
 from ekf_companion.cli.progress import progress_line
-from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.errors import ConfigError, LogError, require
 
 if TYPE_CHECKING:
     from ekf_companion.lidar.recording import Mounting
@@ -45,6 +45,10 @@ def lidar(
         Path | None, typer.Option(help="Covariance of each pose since the first, as .csv.")
     ] = None,
     cloud: Annotated[Path | None, typer.Option("--map", help="Points of the map, as .ply.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="Track, map, sigmas, holds and innovations, as .html."),
+    ] = None,
     lidar_pose: Annotated[
         str | None,
         typer.Option(
@@ -77,6 +81,7 @@ def lidar(
 
     import numpy as np
 
+    from ekf_companion.analysis import lidar_report
     from ekf_companion.lidar.mcap_output import write_mcap
     from ekf_companion.lidar.readers import read
     from ekf_companion.lidar.settings import Settings
@@ -85,13 +90,18 @@ def lidar(
 
     with terminal.exit_on_error():
         outputs = [("--out", out) for out in outs or []]
-        outputs += [(name, path) for name, path in _named(rel, cov, cloud) if path is not None]
+        named = (("--rel", rel), ("--cov", cov), ("--map", cloud), ("--report", report))
+        outputs += [(name, path) for name, path in named if path is not None]
         terminal.check_outputs({"the recording": recording}, list(outputs))
         for out in outs or []:
             if out.suffix not in FORMS:
                 raise ConfigError(f"--out: {out}: is a .tum, .csv or .mcap; name one of them")
         if wrong := set(find or []) - {"mounting", "delay"}:
             raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
+        if report is not None:
+            if report.suffix.lower() not in (".html", ".htm"):
+                raise ConfigError(f"--report: {report}: is a .html")
+            require("report", "--report", "bokeh")
         if form not in FILTERS:
             raise ConfigError(f"--filter: {form}: is anchors, lins or fast-lio")
         if stamp not in (None, "start", "middle", "end"):
@@ -129,6 +139,9 @@ def lidar(
                     continue
                 for line in lines_of(solution, kind):
                     file.write(f"{line}\n".encode())
+        if report is not None:
+            lidar_report.write(report, solution)
+            kinds.append((report, ".html"))
     verdict, remarks = solution.verdict(), solution.remarks()
     data = {
         "recording": str(recording),
@@ -144,10 +157,6 @@ def lidar(
     terminal.show(as_json, data, [verdict, *remarks])
     for path, _ in kinds:
         typer.echo(f"wrote {path}", err=as_json)
-
-
-def _named(rel: Path | None, cov: Path | None, cloud: Path | None) -> list[tuple[str, Path | None]]:
-    return [("--rel", rel), ("--cov", cov), ("--map", cloud)]
 
 
 def _mounting(text: str) -> Mounting:

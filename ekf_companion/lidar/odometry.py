@@ -18,7 +18,7 @@ from ekf_companion.lidar import start
 from ekf_companion.lidar.deskew import Deskewed, deskew
 from ekf_companion.lidar.motion import Path, Samples, clipped_between, prepare, propagate
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
-from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
+from ekf_companion.lidar.rows import Match, noise_of_points, sum_rows
 from ekf_companion.lidar.sampling import thin, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
@@ -60,7 +60,8 @@ class Estimate:
     """Of the error state without the anchors, shape (27, 27)."""
     relative: RelativePose | None
     """Since the last anchor, where this pose became one."""
-    sums: Sums | None
+    match: Match | None
+    """None: no point was matched."""
     clipped: int
     lost: float
     evaluations: int
@@ -144,9 +145,9 @@ class Odometry:
         return Estimate(
             stamp=end_l,
             state=self.x,
-            P=self.P[:N, :N],
+            P=self.P[:N, :N].copy(),  # not with all the anchors' behind it
             relative=self._mark(end_l),
-            sums=None if update is None else update.sums,
+            match=None if update is None or update.sums is None else update.sums.match,
             clipped=clipped,
             lost=lost,
             evaluations=evaluations,

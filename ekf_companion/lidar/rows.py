@@ -48,6 +48,24 @@ _NOTHING = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """How a scan and the map agree."""
+
+    used: int
+    """Number of rows."""
+    open_w: Array
+    """Orthonormal directions without hold, shape (3, m)."""
+    hold: Array
+    """Share of the information along each of three directions that is more than noise."""
+    directions_w: Array
+    """Those directions, in columns, unit vectors, shape (3, 3)."""
+    sigma: Array
+    """Of the position along each by this scan alone, m."""
+    rms: float
+    """Of the innovations in their sigmas."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Sums:
     """Normal equations of one scan at a state."""
 
@@ -61,18 +79,7 @@ class Sums:
     """For each anchor their products with the innovation, shape (g, columns + 6)."""
     common: Array
     """Variances of an error of the scan as a whole: shift, m^2, and rotation, rad^2, shape (6,)."""
-    used: int
-    """Number of rows."""
-    open_w: Array
-    """Orthonormal directions without hold, shape (3, m)."""
-    hold: Array
-    """Share of the information along each of three directions that is more than noise."""
-    directions_w: Array
-    """Those directions, in columns, unit vectors, shape (3, 3)."""
-    sigma: Array
-    """Of the position along each by this scan alone, m."""
-    rms: float
-    """Of the innovations in their sigmas."""
+    match: Match
     usage: dict[int, float]
     """Share of each anchor in the weights."""
 
@@ -152,12 +159,14 @@ def sum_rows(
         A.reshape(-1, width, width),
         b,
         np.repeat([bias, settings.angle_noise**2], 3),
-        int(kept.sum()),
-        U,
-        held.hold[-1],
-        held.directions,
-        held.sigma,
-        float(np.sqrt(np.mean(z[kept] ** 2 / R[kept]))),
+        Match(
+            int(kept.sum()),
+            U,
+            held.hold[-1].copy(),
+            held.directions,
+            held.sigma,
+            float(np.sqrt(np.mean(z[kept] ** 2 / R[kept]))),
+        ),
         dict(zip(owners.tolist(), usage.tolist(), strict=True)),
     )
 
