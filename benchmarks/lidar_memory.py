@@ -1,26 +1,26 @@
 """Memory of the odometry: ten minutes at rest, and a kilometre of a street.
 
-Each in a process of its own, which reads a simulated recording scan by scan.
+Each in a process of its own, which reads the scans of a simulated recording one by one.
 """
 
 from __future__ import annotations
 
-import sys
+import pickle
 import tempfile
 from collections.abc import Iterator
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.document import table
 from ekf_companion.lidar.odometry import Odometry
-from ekf_companion.lidar.readers import read
+from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
 from ekf_companion.lidar.settings import Settings
 from sim_autopilot.lidar.motion import Motion
-from sim_autopilot.lidar.record import Simulated, simulate
+from sim_autopilot.lidar.record import TICK, UNIT, Simulated, simulate
 from sim_autopilot.lidar.worlds import Array, World
-from sim_autopilot.lidar.write import write_sequence
 
 HEAD = "recording | scans | beginning, MB | growth, MB | with the estimates kept, MB"
 REST, SPEED, WAY = 600.0, 10.0, 1000.0
@@ -70,18 +70,30 @@ def resident() -> float:
     return pages * 4096 / 1e6
 
 
-def measure(folder: Path, *, is_kept: bool) -> tuple[int, float, float]:
+def parts(simulated: Simulated) -> Iterator[Any]:
+    """Yield samples and mounting, then the scans, and None at the end."""
+    lidar = simulated.lidar
+    accel, gyro = simulated.accel.astype(float), simulated.gyro.astype(float)
+    inertial = InertialSamples(simulated.imu_stamp, gyro, accel)
+    yield inertial, Mounting(lidar.rotation, lidar.position)
+    for stamp, a, b in zip(simulated.stamp, simulated.first, simulated.first[1:], strict=False):
+        yield Scan(float(stamp), simulated.xyz[a:b] * UNIT, simulated.dt[a:b] * TICK)
+    yield None
+
+
+def measure(path: Path, *, is_kept: bool) -> tuple[int, float, float]:
     """Return number of scans, memory after the beginning and its growth to the end, MB."""
-    recording = read(folder)
-    odometry = Odometry(recording.inertial, recording.mounting, Settings())
     kept, count, before = [], 0, 0.0
-    for scan in recording.scans:
-        made = odometry.process(scan)
-        count += 1
-        if is_kept:
-            kept += made
-        if scan.stamp < BEGINNING:
-            before = resident()
+    with path.open("rb") as file:
+        inertial, mounting = pickle.load(file)
+        odometry = Odometry(inertial, mounting, Settings())
+        while (scan := pickle.load(file)) is not None:
+            made = odometry.process(scan)
+            count += 1
+            if is_kept:
+                kept += made
+            if scan.stamp < BEGINNING:
+                before = resident()
     return count, before, resident() - before
 
 
@@ -89,11 +101,14 @@ def row(simulated: Simulated) -> str:
     """Return the row of a recording."""
     context = get_context("spawn")
     with tempfile.TemporaryDirectory() as folder:
-        write_sequence(Path(folder), simulated)
+        path = Path(folder) / "scans"
+        with path.open("wb") as file:
+            for one in parts(simulated):
+                pickle.dump(one, file)
         found = []
         for is_kept in (False, True):
             with context.Pool(1) as pool:
-                found.append(pool.apply(measure, (Path(folder),), {"is_kept": is_kept}))
+                found.append(pool.apply(measure, (path,), {"is_kept": is_kept}))
     (count, before, grown), (_, _, kept) = found
     return f"{simulated.name} | {count} | {before:.0f} | {grown:.1f} | {kept:.1f}"
 
@@ -105,4 +120,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
