@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import lidar_memory
 from benchmarks.document import table
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.readers import read
@@ -96,6 +97,8 @@ def cases() -> Iterator[Case]:
     for name in ("room_walk", "street_drive", "forest_flight", "tunnel_run", "plain_flight"):
         yield Case(name, name, same, same)
         yield Case(f"{name}, map known", name, same, lambda s: replace(s, anchors=0))
+        yield Case(f"{name}, short map", name, same, lambda s: replace(s, anchors=2))
+        yield Case(f"{name}, scan to scan", name, same, lambda s: replace(s, is_scan_to_scan=True))
     for name in ("room_walk", "forest_flight"):
         yield Case(f"{name}, in motion", name, cropped, same)
         yield Case(
@@ -172,6 +175,8 @@ def main() -> None:
     score, wanted = scorer(), sys.argv[1] if len(sys.argv) > 1 else ""
     for line in table(HEAD, (row(case, score) for case in cases() if wanted in case.name)):
         print(line, flush=True)
+    if wanted in ("", "memory"):
+        lidar_memory.main()
 
 
 if __name__ == "__main__":

@@ -101,13 +101,39 @@ def page(review: FlightReview) -> str:
     Raises:
         MissingPackageError: Bokeh is not installed.
     """
-    with part_of("report", "report"):
-        from bokeh.document import Document
-        from bokeh.embed import components
-        from bokeh.resources import Resources
     stamp_ns = review.table.stamp_ns
-    sheet = Sheet(int(stamp_ns[0]), review.begins_ns, int(stamp_ns[-1]))
-    sections = _sections(review, sheet)
+    with part_of("report", "report"):
+        sheet = Sheet(int(stamp_ns[0]), review.begins_ns, int(stamp_ns[-1]))
+    judgement, text = review.judgement, "\n".join(summary(review.report))
+    return assembled(
+        sheet,
+        _sections(review, sheet),
+        name=review.name,
+        when=_when(review),
+        grade=judgement.grade,
+        verdict=judgement.sentence,
+        head=report_tables.head(review),
+        tail=f"{_tables(review, sheet)}"
+        f"<h2>What was found, used and refused</h2><pre>{escape(text)}</pre>",
+    )
+
+
+def assembled(
+    sheet: Sheet,
+    sections: Sequence[tuple[str, list[Any]]],
+    *,
+    name: str,
+    when: str,
+    grade: str,
+    verdict: str,
+    head: str,
+    tail: str,
+) -> str:
+    """Return a page of figures under their headings, between two parts in HTML."""
+    from bokeh.document import Document
+    from bokeh.embed import components
+    from bokeh.resources import Resources
+
     figures = [one for _, plots in sections for one in plots]
     # Of one document, which is searched for models once, not again for each figure
     document = Document()
@@ -122,22 +148,18 @@ def page(review: FlightReview) -> str:
         if plots
     ]
     resources = Resources(mode="inline", components=["bokeh"])
-    judgement = review.judgement
-    text = "\n".join(summary(review.report))
-    grade = judgement.grade.partition(" ")[0]
     button = "<p><button id=outliers type=button>Show all peaks</button></p>" if sheet.cuts else ""
     bars = [one.toolbar.id for one in figures]
     own_script = _SCRIPT % (json.dumps(sheet.cuts), json.dumps(bars))
     return (
         "<!doctype html><html lang=en><head><meta charset=utf-8>"
         '<meta name=viewport content="width=device-width, initial-scale=1">'
-        f"<title>{escape(review.name)}: {escape(judgement.grade)}</title>"
+        f"<title>{escape(name)}: {escape(grade)}</title>"
         f"<style>{_STYLE}{report_tables.STYLE}</style>"
-        f"{resources.render_js()}</head><body><h1>{escape(review.name)}</h1>"
-        f"<p class=when>{escape(_when(review))}</p>"
-        f"<div class='verdict {grade}'>{escape(judgement.sentence)}</div>"
-        f"{report_tables.head(review)}{button}{''.join(body)}{_tables(review, sheet)}"
-        f"<h2>What was found, used and refused</h2><pre>{escape(text)}</pre>"
+        f"{resources.render_js()}</head><body><h1>{escape(name)}</h1>"
+        f"<p class=when>{escape(when)}</p>"
+        f"<div class='verdict {grade.partition(' ')[0]}'>{escape(verdict)}</div>"
+        f"{head}{button}{''.join(body)}{tail}"
         f"{script}<script>{own_script}</script></body></html>"
     )
 

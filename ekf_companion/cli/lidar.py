@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ekf_companion.cli import terminal
 from ekf_companion.cli.progress import progress_line
-from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.errors import ConfigError, LogError, require
 
 if TYPE_CHECKING:
     from ekf_companion.lidar.recording import Mounting
 
-FORMS = (".tum", ".csv")
+FORMS = (".tum", ".csv", ".mcap")
+FILTERS: dict[str, dict[str, Any]] = {
+    "anchors": {},
+    "fast-lio": {"anchors": 0},
+    "lins": {"is_scan_to_scan": True},
+}
+"""Settings of each filter."""
 LEAST_ANGLE, LEAST_SHIFT = 3.0, 0.05
 """Sigma of a mounting that is to be found, deg and m: measured by eye and by tape."""
 LATE = 0.02
@@ -28,7 +34,9 @@ def lidar(
     ],
     outs: Annotated[
         list[Path] | None,
-        typer.Option("--out", "-o", help=".tum, or .csv with sigmas; may be given several times."),
+        typer.Option(
+            "--out", "-o", help=".tum, .csv with sigmas, or .mcap; may be given several times."
+        ),
     ] = None,
     rel: Annotated[
         Path | None, typer.Option(help="Relative poses with their covariance, as .csv.")
@@ -37,6 +45,10 @@ def lidar(
         Path | None, typer.Option(help="Covariance of each pose since the first, as .csv.")
     ] = None,
     cloud: Annotated[Path | None, typer.Option("--map", help="Points of the map, as .ply.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="Track, map, sigmas, holds and innovations, as .html."),
+    ] = None,
     lidar_pose: Annotated[
         str | None,
         typer.Option(
@@ -48,6 +60,13 @@ def lidar(
         list[str] | None,
         typer.Option(help="mounting or delay: estimate it too; may be given several times."),
     ] = None,
+    form: Annotated[
+        str,
+        typer.Option(
+            "--filter",
+            help="anchors; lins: scan to last scan; fast-lio: the map is taken as known.",
+        ),
+    ] = "anchors",
     nearest: Annotated[float, typer.Option(min=0.0, help="Leave out nearer points, m.")] = 0.5,
     farthest: Annotated[float, typer.Option(min=1.0, help="Leave out farther points, m.")] = 80.0,
     stamp: Annotated[
@@ -62,6 +81,8 @@ def lidar(
 
     import numpy as np
 
+    from ekf_companion.analysis import lidar_report
+    from ekf_companion.lidar.mcap_output import write_mcap
     from ekf_companion.lidar.readers import read
     from ekf_companion.lidar.settings import Settings
     from ekf_companion.lidar.solution import lines_of, solve
@@ -69,13 +90,20 @@ def lidar(
 
     with terminal.exit_on_error():
         outputs = [("--out", out) for out in outs or []]
-        outputs += [(name, path) for name, path in _named(rel, cov, cloud) if path is not None]
+        named = (("--rel", rel), ("--cov", cov), ("--map", cloud), ("--report", report))
+        outputs += [(name, path) for name, path in named if path is not None]
         terminal.check_outputs({"the recording": recording}, list(outputs))
         for out in outs or []:
             if out.suffix not in FORMS:
-                raise ConfigError(f"--out: {out}: is a .tum or a .csv; name one of them")
+                raise ConfigError(f"--out: {out}: is a .tum, .csv or .mcap; name one of them")
         if wrong := set(find or []) - {"mounting", "delay"}:
             raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
+        if report is not None:
+            if report.suffix.lower() not in (".html", ".htm"):
+                raise ConfigError(f"--report: {report}: is a .html")
+            require("report", "--report", "bokeh")
+        if form not in FILTERS:
+            raise ConfigError(f"--filter: {form}: is anchors, lins or fast-lio")
         if stamp not in (None, "start", "middle", "end"):
             raise ConfigError(f"--stamp: {stamp}: is start, middle or end")
         if nearest >= farthest:
@@ -96,6 +124,7 @@ def lidar(
                 most_range=farthest,
                 is_mounting_estimated="mounting" in (find or []),
                 delay_sigma=LATE if "delay" in (find or []) else 0.0,
+                **FILTERS[form],
             )
             solution = solve(found, settings)
         if not solution.estimates:
@@ -105,8 +134,14 @@ def lidar(
         kinds += [(cloud, "ply")] if cloud is not None else []
         for path, kind in kinds:
             with create(path) as file:
+                if kind == ".mcap":
+                    write_mcap(solution, file)
+                    continue
                 for line in lines_of(solution, kind):
                     file.write(f"{line}\n".encode())
+        if report is not None:
+            lidar_report.write(report, solution)
+            kinds.append((report, ".html"))
     verdict, remarks = solution.verdict(), solution.remarks()
     data = {
         "recording": str(recording),
@@ -122,10 +157,6 @@ def lidar(
     terminal.show(as_json, data, [verdict, *remarks])
     for path, _ in kinds:
         typer.echo(f"wrote {path}", err=as_json)
-
-
-def _named(rel: Path | None, cov: Path | None, cloud: Path | None) -> list[tuple[str, Path | None]]:
-    return [("--rel", rel), ("--cov", cov), ("--map", cloud)]
 
 
 def _mounting(text: str) -> Mounting:

@@ -3,7 +3,8 @@
 The filter keeps the pose together with anchors, poses of the past that the planes of its local map
 are tied to. A scan measures the pose relative to those; what is not known of an anchor stays
 unknown, so that the covariance of a relative pose and of the pose since the start are both honest.
-With no anchors the map is taken as known: FAST-LIO's form.
+With no anchors the map is taken as known: FAST-LIO's form. With the last scan as the map and its
+pose as the only anchor the pose relative to it begins without covariance: LINS's form.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ekf_companion.lidar import start
 from ekf_companion.lidar.deskew import Deskewed, deskew
 from ekf_companion.lidar.motion import Path, Samples, clipped_between, prepare, propagate
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
-from ekf_companion.lidar.rows import Sums, noise_of_points, sum_rows
+from ekf_companion.lidar.rows import Match, noise_of_points, sum_rows
+from ekf_companion.lidar.sampling import thin, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
     ATT,
@@ -34,7 +36,7 @@ from ekf_companion.lidar.state import (
 )
 from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_state
 from ekf_companion.lidar.voxel_map import VoxelMap
-from ekf_companion.nav.arrays import Array, Indices
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.nav.so3 import skew
 
@@ -42,6 +44,9 @@ PARTS = 3
 """Of a scan in which the gyro is at the end of its range: in each what is beyond is constant."""
 EXCESS_RATE = 1.0
 """Of it, one sigma, rad/s: a hand or a multirotor turns twice as fast as a small range."""
+FIRST_PART = 3.0
+"""Time over which the first part of the map is put in, of that of the others, after a start in
+motion: what one second shows between trees holds nothing by itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -55,7 +60,8 @@ class Estimate:
     """Of the error state without the anchors, shape (27, 27)."""
     relative: RelativePose | None
     """Since the last anchor, where this pose became one."""
-    sums: Sums | None
+    match: Match | None
+    """None: no point was matched."""
     clipped: int
     lost: float
     evaluations: int
@@ -91,7 +97,7 @@ class Odometry:
         self._waiting: list[Scan] = []
         self._usage: dict[int, float] = {}
         self._count = 0
-        self._is_started = False
+        self._is_started = self._is_moving = False
         self.x = State()
         self.P = np.zeros((N + POSE, N + POSE))
         self._marked: tuple[float, State] | None = None
@@ -104,7 +110,7 @@ class Odometry:
         if self._is_started:
             return [self._step(scan)]
         self._waiting.append(scan)
-        if len(self._waiting) < start.SCANS:
+        if scan.stamp - self._waiting[0].stamp < start.SPAN:
             return []
         return self._begin()
 
@@ -125,6 +131,7 @@ class Odometry:
         self.x, P = start.find(scans, self._samples, self._mounting, self.settings, self._delay)
         self._time = scans[0].stamp + self._delay
         self.P[:N, :N] = P
+        self._is_moving = bool(self.x.vel_w.any())
         self._waiting = []
         return [self._step(scan) for scan in scans]
 
@@ -138,9 +145,9 @@ class Odometry:
         return Estimate(
             stamp=end_l,
             state=self.x,
-            P=self.P[:N, :N],
+            P=self.P[:N, :N].copy(),  # not with all the anchors' behind it
             relative=self._mark(end_l),
-            sums=None if update is None else update.sums,
+            match=None if update is None or update.sums is None else update.sums.match,
             clipped=clipped,
             lost=lost,
             evaluations=evaluations,
@@ -211,9 +218,7 @@ class Odometry:
 
     def _choose(self, scan: Scan) -> tuple[Array, Array]:
         """Return the points within range, and their times."""
-        square = np.einsum("ni,ni->n", scan.points, scan.points)
-        s = self.settings
-        kept = (square > s.least_range**2) & (square < s.most_range**2)
+        kept = within_range(scan.points, self.settings)
         return scan.points[kept], scan.times[kept]
 
     def _insert(self, scan: Deskewed, stamp: float) -> None:
@@ -222,7 +227,9 @@ class Odometry:
             self._forget_far()
             self._put(scan, 0)
             return
-        if not self.anchors or stamp - self.anchors[-1].stamp > self.settings.spacing - 0.01:
+        if self.settings.is_scan_to_scan and len(scan.points):
+            self._forget_all()
+        if not self.anchors or stamp - self.anchors[-1].stamp > self._part() - 0.01:
             self._begin_anchor(stamp)
         if not len(scan.points):
             return
@@ -235,6 +242,11 @@ class Odometry:
         self.P[at] += share * (T @ self.P[:N] - self.P[at])
         self.P[:, at] += share * (self.P[:, :N] @ T.T - self.P[:, at])
         self._put(scan, self.anchors[k].number)
+
+    def _part(self) -> float:
+        """Return how long the part of the map that is being made is put in, s."""
+        is_first = len(self.anchors) == 1
+        return self.settings.spacing * (FIRST_PART if is_first and self._is_moving else 1.0)
 
     def _put(self, scan: Deskewed, owner: int) -> None:
         """Put the points of a scan into the map where the state says they are."""
@@ -253,6 +265,12 @@ class Odometry:
         self._insertions = 0
         self._forget_far()
         self._drop_anchors()
+
+    def _forget_all(self) -> None:
+        """Begin another map, without anchors."""
+        self.map = VoxelMap(self.settings)
+        self.anchors, self._usage = [], {}
+        self.P = self.P[: first(0), : first(0)]
 
     def _forget_far(self) -> None:
         """Keep the map within its radius and its number of voxels."""
@@ -317,18 +335,6 @@ def recentred(x: State) -> tuple[State, Array]:
     G[DOWN, DOWN] = to_angles @ C @ direction_by_angles(x.down_w)
     G[DOWN, ATT] = to_angles @ skew(down)
     return here, G
-
-
-def thin(points: Array, size: float, most: int) -> Indices:
-    """Return the index of one point in each voxel, and at most so many, spread evenly."""
-    if not len(points):
-        return np.zeros(0, dtype=np.int64)
-    cell = np.floor(points / size).astype(np.int64) + (1 << 20)
-    key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
-    index = np.sort(np.unique(key, return_index=True)[1])
-    if len(index) > most:
-        index = index[np.linspace(0, len(index) - 1, most).astype(np.int64)]
-    return index
 
 
 def run(recording: Recording, settings: Settings) -> Iterator[Estimate]:

@@ -37,16 +37,32 @@ SEPARATE = 3.0
 """Ratio of sigmas from which on the filter knows which directions are without hold."""
 AGREEING = 0.2
 """Largest angle to those that the normals show, rad."""
-LEAST_PLANES = 9.0
-"""Planes that a hold must come from, by their weights: one in nine that is of something that moves,
-or of an edge, is then no more than three sigma of the others."""
-PART_PLANES = 4.0
-"""The same of one part of the map: a corner of it is three planes."""
+LEAST_PLANES = 4.0
+"""Planes that a hold must come from, by their weights, in each part of the map and in all: a corner
+is three, and of four one may be of something that moves, or of an edge."""
 CHANCE = 3.0
 """Standard errors by which a hold must exceed the noise of the normals."""
 
 
 _NOTHING = np.zeros((3, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """How a scan and the map agree."""
+
+    used: int
+    """Number of rows."""
+    open_w: Array
+    """Orthonormal directions without hold, shape (3, m)."""
+    hold: Array
+    """Share of the information along each of three directions that is more than noise."""
+    directions_w: Array
+    """Those directions, in columns, unit vectors, shape (3, 3)."""
+    sigma: Array
+    """Of the position along each by this scan alone, m."""
+    rms: float
+    """Of the innovations in their sigmas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,18 +79,7 @@ class Sums:
     """For each anchor their products with the innovation, shape (g, columns + 6)."""
     common: Array
     """Variances of an error of the scan as a whole: shift, m^2, and rotation, rad^2, shape (6,)."""
-    used: int
-    """Number of rows."""
-    open_w: Array
-    """Orthonormal directions without hold, shape (3, m)."""
-    hold: Array
-    """Share of the information along each of three directions that is more than noise."""
-    directions_w: Array
-    """Those directions, in columns, unit vectors, shape (3, 3)."""
-    sigma: Array
-    """Of the position along each by this scan alone, m."""
-    rms: float
-    """Of the innovations in their sigmas."""
+    match: Match
     usage: dict[int, float]
     """Share of each anchor in the weights."""
 
@@ -154,12 +159,14 @@ def sum_rows(
         A.reshape(-1, width, width),
         b,
         np.repeat([bias, settings.angle_noise**2], 3),
-        int(kept.sum()),
-        U,
-        held.hold[-1],
-        held.directions,
-        held.sigma,
-        float(np.sqrt(np.mean(z[kept] ** 2 / R[kept]))),
+        Match(
+            int(kept.sum()),
+            U,
+            held.hold[-1].copy(),
+            held.directions,
+            held.sigma,
+            float(np.sqrt(np.mean(z[kept] ** 2 / R[kept]))),
+        ),
         dict(zip(owners.tolist(), usage.tolist(), strict=True)),
     )
 
@@ -229,8 +236,7 @@ def _hold(shared: Shared, weight: Array) -> _Hold:
     count = sums[:, :3] ** 2 / np.maximum(sums[:, 3:6], 1e-30)
     hold = np.clip(share - CHANCE * chance, 0.0, 1.0)
     hold[hold > 0.98] = 1.0
-    hold[:g][count[:g] < PART_PLANES] = 0.0
-    hold[g][count[g] < LEAST_PLANES] = 0.0
+    hold[count < LEAST_PLANES] = 0.0
     size = np.linalg.norm(white[g], axis=0)
     return _Hold(
         root @ (V * hold[:, None]) @ V.transpose(0, 2, 1) @ inverse,

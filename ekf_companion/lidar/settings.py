@@ -59,6 +59,8 @@ class Settings:
     """Of all sizes together, of some 400 bytes: beyond them the farthest are forgotten."""
     anchors: int = 16
     """Poses of the past that the map is tied to; 0: the map is taken as known."""
+    is_scan_to_scan: bool = False
+    """The last scan is the map."""
     spacing: float = 1.0
     """Between such poses, s; relative poses are given over it."""
     iterations: int = 5

@@ -106,7 +106,7 @@ class Solution:
         begin: Estimate | None = None
         total, last = np.zeros((3, 3)), 0.0
         for one in [*self.estimates, None]:
-            axes = None if one is None else (np.eye(3) if one.sums is None else one.sums.open_w)
+            axes = None if one is None else (np.eye(3) if one.match is None else one.match.open_w)
             if (
                 one is not None
                 and axes is not None
@@ -128,7 +128,7 @@ class Solution:
     def verdict(self) -> str:
         """Return what the result is good for, in one line."""
         way, sigma, stretches = self.way, self.sigma, self.open_stretches()
-        matched = sum(one.sums is not None for one in self.estimates)
+        matched = sum(one.match is not None for one in self.estimates)
         if matched < 0.5 * len(self.estimates):
             count = len(self.estimates)
             return f"poor: {count - matched} of {count} scans match nothing"
@@ -287,7 +287,7 @@ def lines_of(solution: Solution, kind: str) -> Iterator[str]:
             blocks = (C @ one.P[POS, POS] @ C.T, one.P[ATT, ATT], C @ one.P[VEL, VEL] @ C.T)
             sigmas = [np.sqrt(np.maximum(np.diag(block), 0.0)) for block in blocks]
             numbers = [f"{value:.9g}" for value in np.concatenate([row[1:], vel, *sigmas])]
-            used = 0 if one.sums is None else one.sums.used
+            used = 0 if one.match is None else one.match.used
             yield ",".join([f"{row[0]:.6f}", *numbers, str(used)])
     elif kind == "ply":
         yield "ply\nformat ascii 1.0"

@@ -1,20 +1,30 @@
-"""The first state, from the first scans: whether at rest or in motion.
+"""The first state, from the first second of scans: whether at rest or in motion.
 
 Gyro and accelerometer move the body; the velocity at the beginning, gravity and the bias of the
-gyro are what is sought: over half a second the positions are linear in the first two. Points of
-later scans are compared with planes of the first one, which are distorted themselves by what is not
-known yet: both are made anew at each iteration.
+gyro are what is sought, and the positions are linear in all of them. No scan by itself has planes
+that can be relied upon: a sparse one strikes a trunk twice, and what it strikes is distorted by the
+motion that is not known yet. So all scans are placed by one motion, and the motion is sought by
+which they lie on planes: that with the least sum over voxels of the logarithm of the variance about
+the plane through the voxel's points. The planes themselves are eliminated (offset and both slopes),
+so that what is left of a row is what the motion between the scans says. From large voxels to small
+ones, as the variance in a large one has no other minimum nearby.
+
+Source: Liu and Zhang 2021, "BALM: bundle adjustment for lidar mapping", arXiv 2010.08215 (planes
+eliminated from the adjustment of poses); Golub and Pereyra 1973, "The differentiation of
+pseudo-inverses and nonlinear least squares problems whose variables separate" (elimination);
+Fuller 1987, "Measurement Error Models", ch. 2 (noise of the normals).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ekf_companion.lidar.motion import Path, Samples, propagate
 from ekf_companion.lidar.recording import Mounting, Scan
+from ekf_companion.lidar.sampling import evenly, grouped, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
     ACCEL_BIAS,
@@ -27,16 +37,24 @@ from ekf_companion.lidar.state import (
     N,
     State,
 )
-from ekf_companion.lidar.voxel_map import VoxelMap
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.direction import direction_by_angles
 
-SCANS = 6
-"""Of which the start is found."""
+SPAN = 1.0
+"""Of the scans by which the start is found, s: sigmas of 0.1 m/s^2 come of it between trees, which
+is what the bias of an accelerometer leaves to know of gravity."""
 SPEED, ACCELERATION = 5.0, 2.0
 """Of a vehicle under way, one sigma on each axis, m/s and m/s^2."""
-SEEDS = ((0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
-"""Velocities to begin with: between far ones the planes of one scan may hold a wrong one."""
+STAGES = ((0.5, 8.0, 0.4, 8), (1.0, 4.0, 0.2, 6), (1.0, 2.0, 0.1, 4), (1.0, 1.0, 0.0, 4))
+"""Share of the span, edge of the voxels, m, roughness that is taken for noise, m, and number of
+iterations: a twentieth of the edge is smooth enough for one minimum, and enough iterations that
+more change nothing."""
+GRID = np.array([0.618, 0.382, 0.236])
+"""Shift of the grid from one iteration to the next, of its voxels: no face stays where it is."""
+LEAST_POINTS = 6
+"""Of a plane: three make it, as many again say how thick it is."""
+CHANCE = 3.0
+"""Standard errors by which what is held must exceed the noise of the normals."""
 AGAIN = 9.0
 """Factor on the covariance: the filter takes the same scans again, and this prior shall not count
 for more than a tenth of them."""
@@ -63,20 +81,18 @@ def find(
     The world is the body there; the position and the attitude are zero by definition.
     """
     x = State(C_bl=mounting.rotation, pos_b=mounting.position, delay=delay)
-    path = _path(scans, np.zeros(3), x, samples, settings)
+    path = _path(scans, x, samples, settings)
     steps = np.diff(path.stamp)
     mean = steps @ path.accel_w / max(float(steps.sum()), 1e-9)
     motion = prior = np.concatenate([np.zeros(3), -mean, np.zeros(3)])
     P = np.diag(_variances(settings))
-    found = []
-    for seed in SEEDS:
-        motion = prior + np.concatenate([SPEED * np.array(seed), np.zeros(6)])
-        for count in (1, 1, 1, 2):
-            motion, _, score = _fit(scans[: count + 1], motion, prior, x, samples, settings)
-        found.append((score, motion))
-    motion = max(found, key=lambda one: one[0])[1]
-    for count in (2, 3, *([len(scans) - 1] * 4)):
-        motion, P, _ = _fit(scans[: count + 1], motion, prior, x, samples, settings)
+    points = _carried(scans, path, x, settings)
+    number = 0
+    for share, edge, rough, times in STAGES:
+        some = points.until(share * SPAN)
+        for _ in range(times):
+            number += 1
+            motion, P = _refined(some, motion, prior, edge, number * GRID, rough, settings)
     size = float(np.linalg.norm(motion[3:6]))
     is_found = size > 0.1 * settings.gravity
     x = replace(
@@ -118,71 +134,133 @@ def _variances(settings: Settings) -> Array:
     return np.repeat(np.square([SPEED, ACCELERATION, settings.gyro_bias]), 3)
 
 
-def _path(
-    scans: Sequence[Scan], gyro_bias: Array, x: State, samples: Samples, settings: Settings
-) -> Path:
+def _path(scans: Sequence[Scan], x: State, samples: Samples, settings: Settings) -> Path:
     """Return the motion over some scans from rest, without gravity."""
     end = max(scan.stamp + float(scan.times.max(initial=0.0)) for scan in scans)
-    still, falling = replace(x, gyro_bias=gyro_bias), replace(settings, gravity=0.0)
-    return propagate(still, samples, scans[0].stamp + x.delay, end + x.delay, falling)[3]
+    falling = replace(settings, gravity=0.0)
+    return propagate(x, samples, scans[0].stamp + x.delay, end + x.delay, falling)[3]
 
 
-def _fit(
-    scans: Sequence[Scan],
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """Points of all scans, carried by the inertial samples from rest and without gravity."""
+
+    after: Array
+    """Time since the first scan, s, shape (n,)."""
+    C: Array
+    """Body at the point's time to that at the beginning, shape (n, 3, 3)."""
+    y: Array
+    """From the body at the point's time, in w, m, shape (n, 3)."""
+    q: Array
+    """In w, m, shape (n, 3)."""
+
+    def chosen(self, k: Indices) -> _Points:
+        """Return some of the points."""
+        return _Points(self.after[k], self.C[k], self.y[k], self.q[k])
+
+    def until(self, time: float) -> _Points:
+        """Return the points of a first part."""
+        return self.chosen(np.flatnonzero(self.after <= time))
+
+    def placed(self, motion: Array) -> Array:
+        """Return the points at a velocity, a gravity and a bias of the gyro, m, shape (n, 3)."""
+        t = self.after[:, None]
+        turned = self.C @ motion[6:]
+        by_turn = t**3 / 6.0 * np.cross(-motion[3:6], turned) - t * np.cross(turned, self.y)
+        return np.asarray(self.q + t * motion[:3] + 0.5 * t * t * motion[3:6] + by_turn)
+
+    def derivatives(self, motion: Array, normal: Array) -> Array:
+        """Return those of normal' q by velocity, gravity and bias of the gyro, shape (n, 9)."""
+        t = self.after[:, None]
+        by_turn = t**3 / 6.0 * np.cross(normal, -motion[3:6]) - t * np.cross(self.y, normal)
+        by_bias = np.einsum("nij,ni->nj", self.C, by_turn)
+        return np.hstack([t * normal, 0.5 * t * t * normal, by_bias])
+
+
+def _carried(scans: Sequence[Scan], path: Path, x: State, settings: Settings) -> _Points:
+    """Return the points of scans, thinned, where a path from rest puts them."""
+    made: list[tuple[Array, Array, Array, Array]] = []
+    for scan in scans:
+        k = within_range(scan.points, settings)
+        k = evenly(k, settings.most_points)
+        after = scan.stamp - scans[0].stamp + scan.times[k]
+        turn, pos = path.at(scans[0].stamp + x.delay + after)
+        C = turn.reshape(-1, 3, 3)
+        y = np.einsum("nij,nj->ni", C, scan.points[k] @ x.C_bl.T + x.pos_b)
+        made.append((after, C, y, y + pos))
+    after, C, y, q = (np.concatenate(part) for part in zip(*made, strict=True))
+    return _Points(after, C, y, q)
+
+
+def _refined(
+    points: _Points,
     motion: Array,
     expected: Array,
-    x: State,
-    samples: Samples,
+    edge: float,
+    shift: Array,
+    rough: float,
     settings: Settings,
-) -> tuple[Array, Array, float]:
-    """Return velocity, gravity and gyro bias after one more iteration, covariance and score.
-
-    The score is the number of points on planes at the motion that it began with.
-    """
-    start = scans[0].stamp
-    path = _path(scans, motion[6:], x, samples, settings)
-    placed = []
-    for scan in scans:
-        square = np.einsum("ni,ni->n", scan.points, scan.points)
-        kept = (square > settings.least_range**2) & (square < settings.most_range**2)
-        after = scan.stamp - start + scan.times[kept]
-        turn, pos = path.at(start + x.delay + after)
-        C = turn.reshape(-1, 3, 3)
-        y = np.einsum("nij,nj->ni", C, scan.points[kept] @ x.C_bl.T + x.pos_b)
-        q = y + pos + after[:, None] * (motion[:3] + 0.5 * after[:, None] * motion[3:6])
-        placed.append((after, C, y, q))
-    var = settings.range_noise**2
-    voxels = VoxelMap(settings)
-    after, _, _, q = placed[0]
-    if len(q):
-        voxels.insert(q, np.full(len(q), var), 0)
-    middle = float(after.mean()) if len(after) else 0.0
+) -> tuple[Array, Array]:
+    """Return velocity, gravity and gyro bias after one more iteration, and their covariance."""
     prior = _variances(settings)
-    A, b, score = np.diag(1.0 / prior), (expected - motion) / prior, 0.0
-    for after, C, y, q in placed[1:]:
-        planes = voxels.match(q)
-        k = planes.index
-        if not len(k):
-            continue
-        normal = planes.normal
-        z = np.einsum("ni,ni->n", normal, planes.centre - q[k])
-        dt = (after[k] - middle)[:, None]
-        square = 0.5 * (after[k] ** 2 - middle**2)[:, None]
-        turn = np.einsum("nij,ni->nj", C[k], np.cross(y[k], normal))
-        H = np.hstack([dt * normal, square * normal, -dt * turn])
-        slope = np.einsum("nki,ni->nk", planes.along, q[k] - planes.centre)
-        offset = planes.spread[:, 0]
-        R = var + offset + (slope * slope).sum(axis=1)
-        spread = (1.5 * float(np.median(np.abs(z)))) ** 2
-        w = 1.0 / (R * (1.0 + z * z / (TAIL**2 * (R + spread))))
-        score += float((1.0 / (1.0 + z * z / (TAIL**2 * R))).sum())
-        # Points on the same plane share its error
-        _, back, each = np.unique(planes.voxel, return_inverse=True, return_counts=True)
-        w /= 1.0 + (each * len(placed))[back] * offset / R
-        A += (H * w[:, None]).T @ H
-        b += (H * w[:, None]).T @ z
-    P = np.linalg.inv(A)
-    return motion + P @ b, np.asarray(P, dtype=np.float64), score
+    q = points.placed(motion)
+    order, first, count = grouped(np.floor(q / edge + shift).astype(np.int64))
+    is_plane = count >= LEAST_POINTS
+    if not is_plane.any():
+        return expected, np.diag(prior)
+    many = np.repeat(is_plane, count)
+    order, count = order[many], count[is_plane]
+    first = np.cumsum(count) - count
+    voxel = np.repeat(np.arange(len(count)), count)
+    points, q = points.chosen(order), q[order]
+
+    # The plane of each voxel
+    d = q - (np.add.reduceat(q, first) / count[:, None])[voxel]
+    squares = np.add.reduceat(d[:, :, None] * d[:, None, :], first) / count[:, None, None]
+    values, axes = np.linalg.eigh(squares)
+    var = np.maximum(values[:, 0], 0.0) * count / (count - 3.0)
+    var = (var + rough**2 + settings.range_noise**2)[voxel]
+    normal = axes[voxel, :, 0]
+    z = -np.einsum("ni,ni->n", normal, d)
+    weight = 1.0 / (var * (1.0 + z * z / (TAIL**2 * var)))
+
+    # Rows without what an offset and two slopes of the plane explain
+    H = points.derivatives(motion, normal)
+    t = points.after[:, None]
+    rows = np.hstack([H, z[:, None], t, 0.5 * t * t])
+    along = np.einsum("nij,ni->nj", axes[voxel, :, 1:], d)
+    X = np.hstack([np.ones((len(d), 1)), along])
+    weighted = weight[:, None, None] * X[:, :, None]
+    XX = np.add.reduceat(weighted * X[:, None, :], first)
+    XX += 1e-9 * np.trace(XX, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    spread = np.linalg.inv(XX)
+    rows -= np.einsum(
+        "ni,nij->nj", X, (spread @ np.add.reduceat(weighted * rows[:, None, :], first))[voxel]
+    )
+    A, b = (H.T * weight) @ rows[:, :9], (H.T * weight) @ rows[:, 9]
+
+    # The noise of normals holds nothing
+    slopes = axes[:, :, 1:] @ spread[:, 1:, 1:] @ axes[:, :, 1:].transpose(0, 2, 1)
+    times = np.add.reduceat(weight[:, None, None] * rows[:, 10:, None] * rows[:, None, 10:], first)
+    A, b = _held(A, b, np.einsum("gab,gij->gaibj", times, slopes).reshape(-1, 6, 6), prior)
+    P = np.linalg.inv(A + np.diag(1.0 / prior))
+    return motion + P @ (b + (expected - motion) / prior), np.asarray(P)
+
+
+def _held(A: Array, b: Array, noise: Array, prior: Array) -> tuple[Array, Array]:
+    """Return normal equations without what the noise of the normals of g planes has in them.
+
+    ``noise`` is what is expected of each in velocity and gravity, shape (g, 6, 6).
+    """
+    size = np.trace(noise, axis1=1, axis2=2)
+    planes = float(size.sum()) ** 2 / max(float(size @ size), 1e-300)
+    B = np.zeros_like(A)
+    B[:6, :6] = (1.0 + CHANCE * np.sqrt(2.0 / max(planes, 1.0))) * noise.sum(axis=0)
+    L = np.linalg.cholesky(A + np.diag(1e-6 / prior))
+    white = np.linalg.inv(L)
+    share, V = np.linalg.eigh(np.eye(len(A)) - white @ B @ white.T)
+    part = L @ (V * np.clip(share, 0.0, 1.0)) @ V.T
+    return np.asarray(part @ L.T), np.asarray(part @ white @ b)
 
 
 def _covariance(x: State, found: Array, mounting: Mounting, settings: Settings) -> Array:

@@ -99,7 +99,7 @@ def correct(
         full[:N] = e
         S = np.eye(len(seen)) + A @ P_here[np.ix_(seen, seen)]
         gained = P_here[:N, seen] @ np.linalg.solve(S, b + A @ full[seen])
-        open_w = sums.open_w
+        open_w = sums.match.open_w
         if open_w.shape[1]:
             gained, e = _without(open_w, gained), _without(open_w, e)
         dx = gained - e

@@ -87,6 +87,8 @@ def simulate(
     lidar: Lidar | None = None,
     errors: ImuErrors | None = None,
     name: str | None = None,
+    scene: World | None = None,
+    motion: Motion | None = None,
 ) -> Simulated:
     """Return a recording; the same seed gives the same numbers.
 
@@ -97,9 +99,11 @@ def simulate(
         lidar: The lidar and its mounting; None: what fits the world.
         errors: Of the inertial sensor.
         name: None: that of the world.
+        scene: Another world in its place, for the same lidar.
+        motion: Another motion.
     """
     of_world, of_lidar, of_imu = np.random.default_rng(seed).spawn(3)
-    scene, motion = WORLDS[world](of_world), MOTIONS[world]
+    scene, motion = scene or WORLDS[world](of_world), motion or MOTIONS[world]
     fitted = lidar or usual_lidar(world)
     points = _scan(scene, motion, fitted, duration, of_lidar)
     samples = _sample(motion, errors or ImuErrors(), duration, of_imu)
