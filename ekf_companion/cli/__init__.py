@@ -70,7 +70,7 @@ COMMANDS = {
     "fleet": _Entry(
         "fleet",
         "fleet",
-        "Ask the results of many logs: the worst, noise, two versions, SQL, a report.",
+        "Ask the results of many logs: the worst, noise, two versions, SQL, a report; tune.",
     ),
     "calibrate": _Entry(
         "calibrate",
