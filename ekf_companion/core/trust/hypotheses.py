@@ -29,21 +29,29 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_MAGNETIC,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
-    FAULT_BARO_SPEED,
+    FAULT_BARO_SCALE,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
     FAULT_DELAY,
-    FAULT_FALL,
+    FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
-    FAULT_HEIGHT_RAMP,
     FAULT_KICK,
+    FAULT_LEVER,
     FAULT_POSITION_STEP,
+    FAULT_SETTLE,
+    FAULT_SETTLE_HEIGHT,
     MODE_NAVIGATE,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
+    SOURCE_BARO,
+    SOURCE_CLIMB,
+    SOURCE_FALL,
+    SOURCE_HEIGHT,
     SOURCE_NOISE,
+    SOURCE_POSITION,
+    SOURCE_VELOCITY,
     SOURCES,
     N,
 )
@@ -88,6 +96,14 @@ AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed: a receiver among houses."""
 FADES = cython.declare(cython.double, 60e9)
 """ns."""
+SHORTEST_SETTLING = cython.declare(cython.double, 5.0)
+"""Shortest time constant with which a receiver settles, s."""
+LONGER = cython.declare(cython.double, 3.5)
+"""How much longer each of the others is: 5, 17, 61 s."""
+EVEN = cython.declare(cython.double, 0.5)
+"""Probability of its fault from which on a source is not fused."""
+ANY = cython.declare(cython.double, 1e8)
+"""Variance of a row that says nothing, of the square of its unit."""
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
 SPACING = cython.declare(cython.double, 0.095e9)
@@ -131,7 +147,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])
-        shape.add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
+        shape.add_direct(x, h, o, aid, b.T[i])
     if not is_weighed:
         return
     share = 1.0 / learn_common(x, b, o, aid)
@@ -267,7 +283,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
     What shows in a fix begins with its first row; what another aid alone would show, with that.
     """
     if aid == AID_BARO:
-        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SPEED)
+        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SCALE)
     elif aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         begin_kinds(x, k, b, aid, FAULT_FIELD, FAULT_BODY_FIELD)
     elif aid == AID_HEADING:
@@ -278,9 +294,12 @@ def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
             score.end_window(x, k, b)
             begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
             begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
-        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
+        if b.has_begun == 0.0:
+            b.has_begun = 1.0
+            begin_settling(x, k, b)
+        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_LEVER)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
@@ -304,6 +323,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
     b.n += 1
     h.kind = kind
     h.rows = k.fault[kind].rows
+    h.reference = x.pos_n[2]
     h.level = 0
     h.t0 = x.t
     h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
@@ -320,6 +340,17 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
         for e in range(N):
             h.U[c][e] = 0.0
     shape.begin(h)
+
+
+def begin_settling(x: State, k: Parameters, b: Bank) -> None:
+    """Begin what may be since the first fix: that the receiver settles, in one of some times."""
+    tau = SHORTEST_SETTLING
+    for _ in range(3):
+        for kind in range(FAULT_SETTLE, FAULT_SETTLE_HEIGHT + 1):
+            begin_instance(x, k, b, kind, 0.0)
+            b.instance[b.n - 1].tau = tau
+            b.instance[b.n - 1].t0 = x.t - x.fix_dt * 1e9
+        tau *= LONGER
 
 
 def fold(b: Bank, kind: int, rows: int) -> None:
@@ -392,6 +423,41 @@ def thin(x: State, b: Bank) -> None:
         if (age > SETTLED and h.evidence < EXCLUDED) or (age > OLDEST and h.evidence < 0.0):
             drop(b, i)
         i -= 1
+
+
+def open_rows(k: Parameters, o: Observation, aid: int) -> bool:
+    """Open the rows whose source is more likely wrong than right: they correct nothing.
+
+    So what is wild in no shape at all, and explained by one fault after the other, leads nobody
+    astray meanwhile. The columns follow what was really done.
+    """
+    first = 0.0
+    down = 0.0
+    b = address(o.bank[0])
+    for i in range(b.n):
+        h = address(b.instance[i])
+        source = k.fault[h.kind].source
+        if aid == AID_VELOCITY:
+            if source == SOURCE_VELOCITY:
+                first += h.p
+            elif source == SOURCE_CLIMB or source == SOURCE_FALL:
+                down += h.p
+        elif aid == AID_POSITION:
+            if source == SOURCE_POSITION:
+                first += h.p
+        elif aid == AID_HEIGHT:
+            if source == SOURCE_HEIGHT or source == SOURCE_FALL:
+                first += h.p
+        elif aid == AID_BARO and source == SOURCE_BARO:
+            first += h.p
+    if aid != AID_VELOCITY:
+        down = first
+    if first <= EVEN and down <= EVEN:
+        return False
+    for r in range(o.rows):
+        if (down if r == 2 else first) > EVEN:
+            o.R[r][r] += ANY
+    return True
 
 
 def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:

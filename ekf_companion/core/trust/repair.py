@@ -26,12 +26,14 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_HEADING,
     E_IRON,
     FAULT_BARO_RAMP,
+    FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
     FAULT_FALL,
+    FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
@@ -39,9 +41,12 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_SETTLE,
+    FAULT_SETTLE_HEIGHT,
     FAULT_VELOCITY_LAG,
     FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
+    FAULT_VELOCITY_TURN,
     SHOWS_ALL,
     SOURCE_DRAG,
     SOURCE_NOISE,
@@ -128,7 +133,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     b.declared[kind] += 1.0
     b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h)
-    extend(b, h, 1.0)
+    extend(x, b, h, 1.0)
     for e in range(N):
         o.dx[e] = 0.0
         for c in range(rows):
@@ -136,7 +141,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     open_offset(x, h, 1.0)
     add_columns(x, h, rows)
     open_offset(x, h, -1.0)
-    extend(b, h, -1.0)
+    extend(x, b, h, -1.0)
     inject(x, o)
     doubt_it(k, h, o, p)
 
@@ -183,12 +188,18 @@ def carry(x: State, b: Bank, h: Instance) -> None:
     elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
         hold(b, 2, h.b[0] * since)
         drive_on(x, b, 2, h.b[0], h.M[0][0])
+    elif kind == FAULT_FALL_RAMP:
+        hold(b, 2, 0.5 * h.b[0] * since * since)
+        drive_on(x, b, 2, h.b[0] * since, h.M[0][0] * since * since)
     elif kind == FAULT_BARO_STEP:
         hold(b, 3, h.b[0])
     elif kind == FAULT_BARO_RAMP:
         hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
     elif is_taken(kind):
+        b.taken_t[kind] = h.t0
+        b.taken_tau[kind] = h.tau
+        b.taken_reference[kind] = h.reference
         for c in range(h.rows):
             b.taken[kind][c] += h.b[c]
             b.taken_var[kind][c] = h.M[c][c]
@@ -199,12 +210,16 @@ def is_taken(kind: int) -> bool:
     return (
         kind == FAULT_VELOCITY_SCALE
         or kind == FAULT_VELOCITY_LAG
+        or kind == FAULT_VELOCITY_TURN
         or kind == FAULT_BARO_SPEED
+        or kind == FAULT_BARO_SCALE
+        or kind == FAULT_SETTLE
+        or kind == FAULT_SETTLE_HEIGHT
         or kind == FAULT_LEVER
     )
 
 
-def extend(b: Bank, h: Instance, sign: float) -> None:
+def extend(x: State, b: Bank, h: Instance, sign: float) -> None:
     """Extend the columns to the error state that holds the fault from now on; -1: take it back."""
     kind = h.kind
     if kind == FAULT_VELOCITY_STEP:
@@ -212,6 +227,8 @@ def extend(b: Bank, h: Instance, sign: float) -> None:
             h.U[c][E_GNSS_VEL + c] += sign
     elif kind == FAULT_CLIMB_STEP or kind == FAULT_FALL:
         h.U[0][E_GNSS_VEL + 2] += sign
+    elif kind == FAULT_FALL_RAMP:
+        h.U[0][E_GNSS_VEL + 2] += sign * (x.t - h.t0) * 1e-9
     elif kind == FAULT_BODY_FIELD:
         for c in range(3):
             h.U[c][E_IRON + c] += sign
@@ -235,6 +252,8 @@ def open_offset(x: State, h: Instance, sign: float) -> None:
         h.U[0][E_GNSS + 2] += sign
     elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
         h.U[0][E_GNSS + 2] += since
+    elif kind == FAULT_FALL_RAMP:
+        h.U[0][E_GNSS + 2] += 0.5 * since * (x.t - h.t0) * 1e-9
     elif kind == FAULT_BARO_STEP:
         h.U[0][E_BARO] += sign
     elif kind == FAULT_BARO_RAMP:
