@@ -122,7 +122,7 @@ def fuse_judged(
     x.nis_n[aid] += 1.0
     if o.has_bank and not isnan(nis):
         hypotheses.judge(x, k, o, aid)
-        if k.weighs_faults == WEIGH_ACT and hypotheses.open_rows(k, o, aid):
+        if k.weighs_faults == WEIGH_ACT and hypotheses.open_rows(x, k, o, aid):
             nis = innovate(x, o)
     if is_denied or not nis <= hard:
         count_judged(x, aid, VERDICT_DENIED if nis <= hard else VERDICT_GATED)

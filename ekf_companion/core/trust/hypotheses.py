@@ -27,6 +27,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
+    E_ATT,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
     FAULT_BARO_SCALE,
@@ -100,6 +101,8 @@ SHORTEST_SETTLING = cython.declare(cython.double, 5.0)
 """Shortest time constant with which a receiver settles, s."""
 LONGER = cython.declare(cython.double, 3.5)
 """How much longer each of the others is: 5, 17, 61 s."""
+EVER = cython.declare(cython.double, 0.004)
+"""Odds that a heading is off from the first one on."""
 EVEN = cython.declare(cython.double, 0.5)
 """Probability of its fault from which on a source is not fused."""
 ANY = cython.declare(cython.double, 1e8)
@@ -141,7 +144,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         cython.bint, aid <= AID_VELOCITY or x.t - b.weighed_t[aid] >= SPACING
     )
     if is_weighed:
-        begin_instances(x, k, b, aid)
+        begin_instances(x, k, b, o, aid)
         b.weighed_t[aid] = x.t
     columns.observe(b, o)
     b.is_observed = 1
@@ -277,17 +280,20 @@ def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
     return b.common[aid] if b.common[aid] > 1.0 else 1.0
 
 
-def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
+def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) -> None:
     """Begin an instance of each kind that this reading may be the first to show.
 
     What shows in a fix begins with its first row; what another aid alone would show, with that.
     """
     if aid == AID_BARO:
         begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SCALE)
-    elif aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
-        begin_kinds(x, k, b, aid, FAULT_FIELD, FAULT_BODY_FIELD)
     elif aid == AID_HEADING:
-        begin_kinds(x, k, b, aid, FAULT_HEADING_STEP, FAULT_HEADING_STEP)
+        first = FAULT_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
+        last = FAULT_BODY_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
+        if b.begun_t[aid] <= NEVER:
+            for kind in range(first, last + 1):
+                begin_heading(x, k, b, o, kind)
+        begin_kinds(x, k, b, aid, first, last)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
         b.fix_t = x.fix_t
         if not x.t - b.window_t < WINDOW:
@@ -340,6 +346,19 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
         for e in range(N):
             h.U[c][e] = 0.0
     shape.begin(h)
+
+
+def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -> None:
+    """Begin what may be ever since: that a heading is off, by which our yaw was found."""
+    begin_instance(x, k, b, kind, 0.0)
+    i = b.n - 1
+    h = address(b.instance[i])
+    h.mass = EVER / k.fault[kind].rate
+    for c in range(3):
+        b.T[i][0][c] = 0.0
+    shape.add_direct(x, h, o, AID_HEADING, b.T[i])
+    for c in range(h.rows):
+        h.U[c][E_ATT + 2] = -b.T[i][0][c]
 
 
 def begin_settling(x: State, k: Parameters, b: Bank) -> None:
@@ -425,7 +444,7 @@ def thin(x: State, b: Bank) -> None:
         i -= 1
 
 
-def open_rows(k: Parameters, o: Observation, aid: int) -> bool:
+def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     """Open the rows whose source is more likely wrong than right: they correct nothing.
 
     So what is wild in no shape at all, and explained by one fault after the other, leads nobody
@@ -434,6 +453,8 @@ def open_rows(k: Parameters, o: Observation, aid: int) -> bool:
     first = 0.0
     down = 0.0
     b = address(o.bank[0])
+    if x.t < b.hold_t:  # nothing is believed while the inertial noise leaps
+        return False
     for i in range(b.n):
         h = address(b.instance[i])
         source = k.fault[h.kind].source

@@ -17,6 +17,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_MAGNETIC,
     E_ATT,
     E_BA,
+    E_BARO,
     E_BG,
     E_DELAY,
     E_IRON,
@@ -84,8 +85,9 @@ def begin(h: Instance) -> None:
     elif kind == FAULT_SETTLE:  # ours began at the first fix
         h.U[0][E_POS] = -1.0
         h.U[1][E_POS + 1] = -1.0
-    elif kind == FAULT_SETTLE_HEIGHT:
+    elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
         h.U[0][E_POS + 2] = -1.0
+        h.U[0][E_BARO] = -1.0
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
