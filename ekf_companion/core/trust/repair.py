@@ -50,6 +50,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SHOWS_ALL,
     SOURCE_DRAG,
     SOURCE_NOISE,
+    SOURCE_SETTLING,
+    SOURCE_SETTLING_HEIGHT,
     SOURCES,
     WEIGH_ACT,
     N,
@@ -70,6 +72,8 @@ SHORTEST = cython.declare(cython.double, 0.6e9)
 """And for at least so long, ns."""
 SAME_FAULT = cython.declare(cython.double, 5e9)
 """Time, ns, after which a fault of the same kind is told as another one."""
+SETTLED = cython.declare(cython.double, 2.0)
+"""Time constants after which it has: an eighth of the error is left."""
 UNEXPLAINED = cython.declare(cython.double, 3.0)
 """Mean NIS a row of the last readings beyond which a fault does not explain them, and waits."""
 UNLIKELY = cython.declare(cython.double, 1e-3)
@@ -90,6 +94,8 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                 p += h.p
                 if best < 0 or h.p > b.instance[best].p:
                     best = i
+        if source == SOURCE_SETTLING or source == SOURCE_SETTLING_HEIGHT:
+            p = settled_share(x, b, best)
         if p < SURE or source == SOURCE_DRAG or source == SOURCE_NOISE:
             b.since[source] = NEVER
         elif b.since[source] <= NEVER:
@@ -104,6 +110,17 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                 b.since[source] = NEVER
                 repair(x, k, o, best, p)
                 return
+
+
+def settled_share(x: State, b: Bank, i: int) -> float:
+    """Return how probable it is that a receiver settles in one time, once most of that is over.
+
+    Sooner the times cannot be told apart, and a wrong one would leave what is left of the error.
+    """
+    if i < 0:
+        return 0.0
+    h = address(b.instance[i])
+    return h.p if (x.t - h.t0) * 1e-9 > SETTLED * h.tau else 0.0
 
 
 def tell(x: State, b: Bank, h: Instance) -> None:
@@ -290,7 +307,11 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
 
 
 def mix(x: State, k: Parameters, b: Bank) -> None:
-    """Write what the mixture adds to attitude, velocity and position, mean and covariance."""
+    """Write what the mixture adds to attitude, velocity and position, mean and covariance.
+
+    What no other source can ever contradict, and what is over within a minute, widens and does not
+    move: a position and velocity that are led away, a receiver that settles.
+    """
     for i in range(9):
         b.mean[i] = 0.0
         for j in range(9):
@@ -308,8 +329,11 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
             columns.look_ahead(b, h.U[c], b.ahead[c])
             for i in range(9):
                 b.work[i] += b.ahead[c][i] * h.b[c]
+        source = k.fault[h.kind].source
+        moves = cython.declare(cython.bint, source != SOURCE_DRAG and source < SOURCE_SETTLING)
         for i in range(9):
-            b.mean[i] += h.p * b.work[i]
+            if moves:
+                b.mean[i] += h.p * b.work[i]
             for j in range(9):
                 s = b.work[i] * b.work[j]
                 for c in range(rows):
