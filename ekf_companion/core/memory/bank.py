@@ -150,6 +150,8 @@ class Bank:
     """Logarithm of the share of the configured inertial noise."""
     information: Real
     """Of that, from the last minute."""
+    means: Annotated[Vector, 3, 9]
+    """What those add that show in all rows, in the level, in the vertical ones."""
     mean: Annotated[Vector, 9]
     """What the mixture adds to attitude, velocity, position."""
     spread: Annotated[Vector, 9, 9]

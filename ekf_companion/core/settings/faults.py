@@ -30,7 +30,7 @@ class Prior:
 
 STEP, RAMP = 0.0, 1.0
 """A step of nine sigma between two onsets would fit neither; of a ramp a second more or less is
-hardly seen. (Onsets of steps every 2 s: 293 s of lies in 105 flights, by the prototype.)"""
+hardly seen."""
 LEVEL, VERTICAL, ALL = Shows.LEVEL, Shows.VERTICAL, Shows.ALL
 
 FAULTS = {

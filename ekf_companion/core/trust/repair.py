@@ -59,7 +59,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust.hypotheses import drop
+from cython.cimports.ekf_companion.core.trust.onsets import drop
 from cython.cimports.libc.math import log
 
 SURE = cython.declare(cython.double, 0.99)
@@ -314,6 +314,8 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
     """
     for i in range(9):
         b.mean[i] = 0.0
+        for g in range(3):
+            b.means[g][i] = 0.0
         for j in range(9):
             b.spread[i][j] = 0.0
     if b.nothing > 1.0 - UNLIKELY:
@@ -333,13 +335,16 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
         moves = cython.declare(cython.bint, source != SOURCE_DRAG and source < SOURCE_SETTLING)
         for i in range(9):
             if moves:
-                b.mean[i] += h.p * b.work[i]
+                b.means[k.fault[h.kind].shows][i] += h.p * b.work[i]
             for j in range(9):
                 s = b.work[i] * b.work[j]
                 for c in range(rows):
                     for d in range(rows):
                         s += b.ahead[c][i] * h.M[c][d] * b.ahead[d][j]
                 b.spread[i][j] += h.p * s
-    for i in range(9):
-        for j in range(9):
-            b.spread[i][j] -= b.mean[i] * b.mean[j]
+    # a level and a vertical fault may be there at once, and are independent
+    for g in range(3):
+        for i in range(9):
+            b.mean[i] += b.means[g][i]
+            for j in range(9):
+                b.spread[i][j] -= b.means[g][i] * b.means[g][j]
