@@ -9,7 +9,7 @@ from typing import Annotated
 from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
 from ekf_companion.core.memory.enums import AIDS, FAULTS, SOURCES, N
 
-INSTANCES = 192
+INSTANCES = 256
 """Most that are kept; the least probable goes where there is no room."""
 FOUND = 32
 """Faults that are kept to be told."""
@@ -41,6 +41,10 @@ class Instance:
     """How many there were."""
     rows: Count
     """Components of b."""
+    tau: Real
+    """Time constant of what settles, s."""
+    reference: Real
+    """Height at the onset, m, down."""
     b: Annotated[Vector, 3]
     """The fault's mean, in its unit."""
     M: Annotated[Vector, 3, 3]
@@ -89,6 +93,8 @@ class Bank:
     """Of the last fix by which instances began, ns."""
     begun_t: Annotated[Vector, AIDS]
     """When the last ones of each spacing began, ns."""
+    has_begun: Real
+    """Instances have begun before: what a receiver does at its first fix is over."""
     weighed_t: Annotated[Vector, AIDS]
     """When a reading of each aid was weighed last, ns."""
     Phi: Annotated[Vector, MOVING, MOVING]
@@ -122,6 +128,10 @@ class Bank:
     taken: Annotated[Vector, FAULTS, 3]
     """What is taken off the readings: of declared faults that no error state holds."""
     taken_var: Annotated[Vector, FAULTS, 3]
+    taken_t: Annotated[Vector, FAULTS]
+    """Onset of each, ns."""
+    taken_tau: Annotated[Vector, FAULTS]
+    taken_reference: Annotated[Vector, FAULTS]
     explained: Annotated[Vector, AIDS]
     """Recent mean NIS a row by the best explanation."""
     window_t: Real
@@ -140,6 +150,8 @@ class Bank:
     """Logarithm of the share of the configured inertial noise."""
     information: Real
     """Of that, from the last minute."""
+    means: Annotated[Vector, 3, 9]
+    """What those add that show in all rows, in the level, in the vertical ones."""
     mean: Annotated[Vector, 9]
     """What the mixture adds to attitude, velocity, position."""
     spread: Annotated[Vector, 9, 9]

@@ -130,7 +130,10 @@ class Voice(IntEnum):
 
 
 class Fault(IntEnum):
-    """What may have begun to be wrong; ``settings/faults.py`` has the numbers of each."""
+    """What may have begun to be wrong; ``settings/faults.py`` has the numbers of each.
+
+    Those that a fix, the barometer or a compass is the first to show stand together.
+    """
 
     POSITION_STEP = 0
     """The receiver's position is off."""
@@ -138,43 +141,54 @@ class Fault(IntEnum):
     """It slides."""
     DRAG = 2
     """Position and velocity are led away together."""
-    VELOCITY_STEP = 3
+    DRAG_RAMP = 3
+    """The same, ever faster."""
+    VELOCITY_STEP = 4
     """The receiver's horizontal velocity is off."""
-    VELOCITY_SCALE = 4
+    VELOCITY_SCALE = 5
     """All of its velocity is too long, or too short."""
-    VELOCITY_LAG = 5
+    VELOCITY_LAG = 6
     """It lags behind the position."""
-    CLIMB_STEP = 6
+    VELOCITY_TURN = 7
+    """It is turned about the vertical."""
+    CLIMB_STEP = 8
     """Its vertical velocity is off."""
-    HEIGHT_STEP = 7
-    HEIGHT_RAMP = 8
-    BARO_STEP = 9
-    BARO_RAMP = 10
-    BARO_SPEED = 11
-    """Dynamic pressure: by the square of the speed."""
-    ACCEL_STEP = 12
-    """The accelerometer's bias has changed."""
-    GYRO_STEP = 13
-    TILT = 14
-    """Our roll and pitch are off."""
-    YAW = 15
-    KICK = 16
-    """Our velocity is off: a shock beyond what the samples show."""
-    FIELD = 17
-    """A magnetic field beside the Earth's, fixed in n."""
-    BODY_FIELD = 18
-    """The same, fixed in the vehicle."""
-    HEADING_STEP = 19
-    """A heading of another source is off."""
-    DELAY = 20
-    """The fixes are later than they are taken for."""
-    LEVER = 21
-    """The antenna is elsewhere."""
-    FALL = 22
+    HEIGHT_STEP = 9
+    HEIGHT_RAMP = 10
+    FALL = 11
     """Height and vertical velocity are led away together."""
-    ACCEL_NOISE = 23
+    FALL_RAMP = 12
+    """The same, ever faster."""
+    BARO_STEP = 13
+    BARO_RAMP = 14
+    BARO_SPEED = 15
+    """Dynamic pressure: by the square of the speed."""
+    BARO_SCALE = 16
+    """By the height, from where that was when it began."""
+    ACCEL_STEP = 17
+    """The accelerometer's bias has changed."""
+    GYRO_STEP = 18
+    TILT = 19
+    """Our roll and pitch are off."""
+    YAW = 20
+    KICK = 21
+    """Our velocity is off: a shock beyond what the samples show."""
+    FIELD = 22
+    """A magnetic field beside the Earth's, fixed in n."""
+    BODY_FIELD = 23
+    """The same, fixed in the vehicle."""
+    HEADING_STEP = 24
+    """A heading of another source is off."""
+    DELAY = 25
+    """The fixes are later than they are taken for."""
+    LEVER = 26
+    """The antenna is elsewhere."""
+    SETTLE = 27
+    """The position settles after the first fix, from which ours began."""
+    SETTLE_HEIGHT = 28
+    ACCEL_NOISE = 29
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 24
+    GYRO_NOISE = 30
 
 
 class Source(IntEnum):
@@ -196,7 +210,9 @@ class Source(IntEnum):
     DELAY = 11
     LEVER = 12
     FALL = 13
-    NOISE = 14
+    SETTLING = 14
+    SETTLING_HEIGHT = 15
+    NOISE = 16
 
 
 class Weigh(IntEnum):

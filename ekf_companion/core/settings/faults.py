@@ -30,25 +30,29 @@ class Prior:
 
 STEP, RAMP = 0.0, 1.0
 """A step of nine sigma between two onsets would fit neither; of a ramp a second more or less is
-hardly seen. (Onsets of steps every 2 s: 293 s of lies in 105 flights, by the prototype.)"""
+hardly seen."""
 LEVEL, VERTICAL, ALL = Shows.LEVEL, Shows.VERTICAL, Shows.ALL
 
 FAULTS = {
-    # of the receiver: m, m/s; three steps in ten hours, by reflections
+    # of the receiver: m, m/s, m/s^2, a share, s, rad; three steps in ten hours, by reflections
     Fault.POSITION_STEP: Prior(Source.POSITION, 2, 30.0, 1000.0, 0.3, STEP, LEVEL),
     Fault.POSITION_RAMP: Prior(Source.POSITION, 2, 1.0, 10.0, 0.3, RAMP, LEVEL),
     Fault.DRAG: Prior(Source.DRAG, 2, 1.0, 30.0, 0.1, RAMP, LEVEL),
+    Fault.DRAG_RAMP: Prior(Source.DRAG, 2, 2.0, 20.0, 0.02, RAMP, LEVEL),
     Fault.VELOCITY_STEP: Prior(Source.VELOCITY, 2, 1.0, 30.0, 0.1, STEP, LEVEL),
     Fault.VELOCITY_SCALE: Prior(Source.VELOCITY, 1, 0.05, 0.05, 0.02, RAMP, ALL),
     Fault.VELOCITY_LAG: Prior(Source.VELOCITY, 1, 0.3, 0.3, 0.02, RAMP, ALL),
+    Fault.VELOCITY_TURN: Prior(Source.VELOCITY, 1, 0.1, 0.1, 0.02, RAMP, LEVEL),
     Fault.CLIMB_STEP: Prior(Source.CLIMB, 1, 1.0, 30.0, 0.1, STEP, VERTICAL),
     Fault.HEIGHT_STEP: Prior(Source.HEIGHT, 1, 15.0, 300.0, 0.3, STEP, VERTICAL),
     Fault.HEIGHT_RAMP: Prior(Source.HEIGHT, 1, 0.5, 5.0, 0.3, RAMP, VERTICAL),
-    # of the barometer: m, m/s, m at 15 m/s
     Fault.FALL: Prior(Source.FALL, 1, 1.0, 30.0, 0.1, RAMP, VERTICAL),
+    Fault.FALL_RAMP: Prior(Source.FALL, 1, 2.0, 20.0, 0.1, RAMP, VERTICAL),
+    # of the barometer: m, m/s, m at 15 m/s, a share
     Fault.BARO_STEP: Prior(Source.BARO, 1, 5.0, 100.0, 0.1, STEP, VERTICAL),
     Fault.BARO_RAMP: Prior(Source.BARO, 1, 0.3, 3.0, 0.3, RAMP, VERTICAL),
     Fault.BARO_SPEED: Prior(Source.BARO, 1, 2.0, 2.0, 0.1, RAMP, VERTICAL),
+    Fault.BARO_SCALE: Prior(Source.BARO, 1, 0.05, 0.05, 0.1, RAMP, VERTICAL),
     # of the inertial sensors: m/s^2, rad/s; and of what was integrated of them: rad, rad, m/s
     Fault.ACCEL_STEP: Prior(Source.ACCEL, 3, 0.2, 2.0, 0.1, RAMP, ALL),
     Fault.GYRO_STEP: Prior(Source.GYRO, 3, 0.02, 0.2, 0.05, RAMP, ALL),
@@ -59,10 +63,14 @@ FAULTS = {
     Fault.FIELD: Prior(Source.COMPASS, 2, 0.1, 1.0, 0.3, STEP, LEVEL),
     Fault.BODY_FIELD: Prior(Source.COMPASS, 3, 0.1, 1.0, 0.1, STEP, LEVEL),
     Fault.HEADING_STEP: Prior(Source.HEADING, 1, 0.3, 3.0, 0.3, STEP, LEVEL),
-    # no fault: its share of the noise follows from what a second of it does
-    Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
-    Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
     # of the installation: s, m
     Fault.DELAY: Prior(Source.DELAY, 1, 0.15, 0.15, 0.1, RAMP, ALL),
     Fault.LEVER: Prior(Source.LEVER, 3, 0.5, 0.5, 0.1, RAMP, ALL),
+    # of a receiver that has just begun, m: it may settle in 5, 20 or 60 s, one of ten does by more
+    # than it states; its rate is that by the second of its only onset
+    Fault.SETTLE: Prior(Source.SETTLING, 2, 10.0, 100.0, 120.0, RAMP, LEVEL),
+    Fault.SETTLE_HEIGHT: Prior(Source.SETTLING_HEIGHT, 1, 15.0, 150.0, 120.0, RAMP, VERTICAL),
+    # no fault: its share of the noise follows from what a second of it does
+    Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
+    Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
 }

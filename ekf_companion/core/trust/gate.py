@@ -27,6 +27,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     VERDICT_DEWEIGHTED,
     VERDICT_FUSED,
     VERDICT_GATED,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
@@ -121,6 +122,8 @@ def fuse_judged(
     x.nis_n[aid] += 1.0
     if o.has_bank and not isnan(nis):
         hypotheses.judge(x, k, o, aid)
+        if k.weighs_faults == WEIGH_ACT and hypotheses.open_rows(x, k, o, aid):
+            nis = innovate(x, o)
     if is_denied or not nis <= hard:
         count_judged(x, aid, VERDICT_DENIED if nis <= hard else VERDICT_GATED)
         if x.refused_t[aid] <= x.used_t[aid]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
-from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank, Instance, Trial
+from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance, Trial
 from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
@@ -27,30 +27,23 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
-    FAULT_ACCEL_NOISE,
-    FAULT_ACCEL_STEP,
-    FAULT_BARO_SPEED,
-    FAULT_BARO_STEP,
-    FAULT_BODY_FIELD,
-    FAULT_DELAY,
-    FAULT_FALL,
-    FAULT_FIELD,
     FAULT_GYRO_NOISE,
-    FAULT_HEADING_STEP,
-    FAULT_HEIGHT_RAMP,
-    FAULT_KICK,
-    FAULT_POSITION_STEP,
     MODE_NAVIGATE,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
+    SOURCE_BARO,
+    SOURCE_CLIMB,
+    SOURCE_FALL,
+    SOURCE_HEIGHT,
     SOURCE_NOISE,
+    SOURCE_POSITION,
+    SOURCE_VELOCITY,
     SOURCES,
-    N,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import score, shape
+from cython.cimports.ekf_companion.core.trust import onsets, score, shape
 from cython.cimports.libc.math import exp, log
 
 GATE = cython.declare(cython.double, 9.0)
@@ -59,26 +52,12 @@ OUTLIER = cython.declare(cython.double, 10.6)
 """2 ln 200: one reading of 200 is an outlier."""
 OUTLIER_ROW = cython.declare(cython.double, 9.4)
 """2 ln (2 * 100 / sqrt(2 pi)) and a margin, a row: it lies anywhere within 100 sigma."""
-SURER = cython.declare(cython.double, 3.0)
-"""By so much a component, in nats, the younger of two must be better to stay: it has not yet paid
-for what it leaves open."""
-EXCLUDED = cython.declare(cython.double, -6.0)
-"""Evidence below which a fault has not begun then: its size is known to be none."""
-SETTLED = cython.declare(cython.double, 1e10)
-"""Age before which none is excluded, ns."""
-OLDEST = cython.declare(cython.double, 2e11)
-"""Age beyond which an instance that says nothing goes, ns."""
-OFTEN = cython.declare(cython.double, 0.95e9)
-"""Time between two onsets of those that are tried once a second, ns: stamps jitter."""
 BLOCK = cython.declare(cython.double, 2e9)
 """Time over which innovations of an aid are summed to see what they have in common, ns."""
 MEMORY = cython.declare(cython.double, 10.0)
 """Blocks that this is learnt over."""
 LARGEST = cython.declare(cython.double, 3.0)
 """Largest whitened innovation that counts there, sigmas."""
-WINDOW = cython.declare(cython.double, 0.95e9)
-"""Time over which the inertial noise is learnt as a constant, ns: over ten seconds a slow wave is
-none."""
 RECENT = cython.declare(cython.double, 10.0)
 """Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
 OPEN = cython.declare(cython.double, 0.25)
@@ -88,6 +67,10 @@ AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed: a receiver among houses."""
 FADES = cython.declare(cython.double, 60e9)
 """ns."""
+EVEN = cython.declare(cython.double, 0.5)
+"""Probability of its fault from which on a source is not fused."""
+ANY = cython.declare(cython.double, 1e8)
+"""Variance of a row that says nothing, of the square of its unit."""
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
 SPACING = cython.declare(cython.double, 0.095e9)
@@ -125,13 +108,13 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         cython.bint, aid <= AID_VELOCITY or x.t - b.weighed_t[aid] >= SPACING
     )
     if is_weighed:
-        begin_instances(x, k, b, aid)
+        onsets.begin_instances(x, k, b, o, aid)
         b.weighed_t[aid] = x.t
     columns.observe(b, o)
     b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])
-        shape.add_direct(x, h.kind, (x.t - h.t0) * 1e-9, o, aid, b.T[i])
+        shape.add_direct(x, h, o, aid, b.T[i])
     if not is_weighed:
         return
     share = 1.0 / learn_common(x, b, o, aid)
@@ -141,7 +124,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     nothing = cost(nothing, o.rows)
     for i in range(b.n):
         weigh_reading(k, b, i, o, aid, nothing, share)
-    thin(x, b)
+    onsets.thin(x, b)
     find_posterior(x, k, b)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         shape.keep_field_slope(b, o)
@@ -261,137 +244,41 @@ def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
     return b.common[aid] if b.common[aid] > 1.0 else 1.0
 
 
-def begin_instances(x: State, k: Parameters, b: Bank, aid: int) -> None:
-    """Begin an instance of each kind that this reading may be the first to show.
+def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
+    """Open the rows whose source is more likely wrong than right: they correct nothing.
 
-    What shows in a fix begins with its first row; what another aid alone would show, with that.
+    So what is wild in no shape at all, and explained by one fault after the other, leads nobody
+    astray meanwhile. The columns follow what was really done.
     """
-    if aid == AID_BARO:
-        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SPEED)
-    elif aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
-        begin_kinds(x, k, b, aid, FAULT_FIELD, FAULT_BODY_FIELD)
-    elif aid == AID_HEADING:
-        begin_kinds(x, k, b, aid, FAULT_HEADING_STEP, FAULT_HEADING_STEP)
-    elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
-        b.fix_t = x.fix_t
-        if not x.t - b.window_t < WINDOW:
-            score.end_window(x, k, b)
-            begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
-            begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
-        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_HEIGHT_RAMP)
-        begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL)
-
-
-def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
-    """Begin an instance of each of some kinds, of those that are rarer once in a while."""
-    is_due = cython.declare(cython.bint, x.t - b.begun_t[clock] >= OFTEN)
-    if is_due:
-        b.begun_t[clock] = x.t
-    for kind in range(first, last + 1):
-        if is_due or k.fault[kind].every == 0.0:
-            begin_instance(x, k, b, kind, x.fix_dt if clock == AID_POSITION else 0.1)
-
-
-def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> None:
-    """Begin one of a kind; what its onset stands for is the time since the onset before."""
-    if k.fault[kind].source == SOURCE_NOISE:
-        forget_kind(b, kind)
-    fold(b, kind, k.fault[kind].rows)
-    if b.n == INSTANCES:
-        drop_least(k, b)
-    h = address(b.instance[b.n])
-    b.n += 1
-    h.kind = kind
-    h.rows = k.fault[kind].rows
-    h.level = 0
-    h.t0 = x.t
-    h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
-    h.evidence = 0.0
-    h.p = 0.0
-    h.is_wide = 0.0
-    h.recent = 0.0
-    h.readings = 0.0
-    for c in range(3):
-        h.b[c] = 0.0
-        for j in range(3):
-            h.M[c][j] = 0.0
-        h.M[c][c] = k.fault[kind].std * k.fault[kind].std
-        for e in range(N):
-            h.U[c][e] = 0.0
-    shape.begin(h)
-
-
-def fold(b: Bank, kind: int, rows: int) -> None:
-    """Make room for one more onset of a kind: of a full level the two oldest become one."""
-    level = 0
-    while True:
-        count = 0
-        first = -1
-        second = -1
-        for i in range(b.n):
-            h = address(b.instance[i])
-            if h.kind == kind and h.level == level:
-                count += 1
-                if first < 0 or h.t0 < b.instance[first].t0:
-                    second = first
-                    first = i
-                elif second < 0 or h.t0 < b.instance[second].t0:
-                    second = i
-        # of the first level one is to come; of the others it has
-        if count < (2 if level == 0 else 3):
-            return
-        stays = first
-        goes = second
-        if b.instance[second].evidence > b.instance[first].evidence + SURER * rows:
-            stays = second
-            goes = first
-        h = address(b.instance[stays])
-        h.mass += b.instance[goes].mass * exp(b.instance[goes].evidence - h.evidence)
-        level += 1
-        h.level = level
-        drop(b, goes)
-
-
-def drop(b: Bank, i: int) -> None:
-    """Drop an instance; the last one takes its place."""
-    b.n -= 1
-    if i < b.n:
-        b.instance[i] = b.instance[b.n]
-        for r in range(3):
-            for c in range(3):
-                b.T[i][r][c] = b.T[b.n][r][c]
-
-
-def forget_kind(b: Bank, kind: int) -> None:
-    """Drop all instances of a kind."""
-    i = b.n - 1
-    while i >= 0:
-        if b.instance[i].kind == kind:
-            drop(b, i)
-        i -= 1
-
-
-def drop_least(k: Parameters, b: Bank) -> None:
-    """Drop the least probable instance of a fault."""
-    least = -1
+    first = 0.0
+    down = 0.0
+    b = address(o.bank[0])
+    if x.t < b.hold_t:  # nothing is believed while the inertial noise leaps
+        return False
     for i in range(b.n):
         h = address(b.instance[i])
-        is_fault = cython.declare(cython.bint, k.fault[h.kind].source != SOURCE_NOISE)
-        if is_fault and (least < 0 or h.p < b.instance[least].p):
-            least = i
-    drop(b, least)
-
-
-def thin(x: State, b: Bank) -> None:
-    """Drop what cannot have begun then, and what is old and says nothing."""
-    i = b.n - 1
-    while i >= 0:
-        h = address(b.instance[i])
-        age = x.t - h.t0
-        if (age > SETTLED and h.evidence < EXCLUDED) or (age > OLDEST and h.evidence < 0.0):
-            drop(b, i)
-        i -= 1
+        source = k.fault[h.kind].source
+        if aid == AID_VELOCITY:
+            if source == SOURCE_VELOCITY:
+                first += h.p
+            elif source == SOURCE_CLIMB or source == SOURCE_FALL:
+                down += h.p
+        elif aid == AID_POSITION:
+            if source == SOURCE_POSITION:
+                first += h.p
+        elif aid == AID_HEIGHT:
+            if source == SOURCE_HEIGHT or source == SOURCE_FALL:
+                first += h.p
+        elif aid == AID_BARO and source == SOURCE_BARO:
+            first += h.p
+    if aid != AID_VELOCITY:
+        down = first
+    if first <= EVEN and down <= EVEN:
+        return False
+    for r in range(o.rows):
+        if (down if r == 2 else first) > EVEN:
+            o.R[r][r] += ANY
+    return True
 
 
 def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:

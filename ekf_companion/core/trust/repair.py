@@ -26,12 +26,14 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_HEADING,
     E_IRON,
     FAULT_BARO_RAMP,
+    FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
     FAULT_FALL,
+    FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
@@ -39,12 +41,17 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_SETTLE,
+    FAULT_SETTLE_HEIGHT,
     FAULT_VELOCITY_LAG,
     FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
+    FAULT_VELOCITY_TURN,
     SHOWS_ALL,
     SOURCE_DRAG,
     SOURCE_NOISE,
+    SOURCE_SETTLING,
+    SOURCE_SETTLING_HEIGHT,
     SOURCES,
     WEIGH_ACT,
     N,
@@ -52,7 +59,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust.hypotheses import drop
+from cython.cimports.ekf_companion.core.trust.onsets import drop
 from cython.cimports.libc.math import log
 
 SURE = cython.declare(cython.double, 0.99)
@@ -65,6 +72,8 @@ SHORTEST = cython.declare(cython.double, 0.6e9)
 """And for at least so long, ns."""
 SAME_FAULT = cython.declare(cython.double, 5e9)
 """Time, ns, after which a fault of the same kind is told as another one."""
+SETTLED = cython.declare(cython.double, 2.0)
+"""Time constants after which it has: an eighth of the error is left."""
 UNEXPLAINED = cython.declare(cython.double, 3.0)
 """Mean NIS a row of the last readings beyond which a fault does not explain them, and waits."""
 UNLIKELY = cython.declare(cython.double, 1e-3)
@@ -85,6 +94,8 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                 p += h.p
                 if best < 0 or h.p > b.instance[best].p:
                     best = i
+        if source == SOURCE_SETTLING or source == SOURCE_SETTLING_HEIGHT:
+            p = settled_share(x, b, best)
         if p < SURE or source == SOURCE_DRAG or source == SOURCE_NOISE:
             b.since[source] = NEVER
         elif b.since[source] <= NEVER:
@@ -99,6 +110,17 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                 b.since[source] = NEVER
                 repair(x, k, o, best, p)
                 return
+
+
+def settled_share(x: State, b: Bank, i: int) -> float:
+    """Return how probable it is that a receiver settles in one time, once most of that is over.
+
+    Sooner the times cannot be told apart, and a wrong one would leave what is left of the error.
+    """
+    if i < 0:
+        return 0.0
+    h = address(b.instance[i])
+    return h.p if (x.t - h.t0) * 1e-9 > SETTLED * h.tau else 0.0
 
 
 def tell(x: State, b: Bank, h: Instance) -> None:
@@ -128,7 +150,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     b.declared[kind] += 1.0
     b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h)
-    extend(b, h, 1.0)
+    extend(x, b, h, 1.0)
     for e in range(N):
         o.dx[e] = 0.0
         for c in range(rows):
@@ -136,7 +158,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     open_offset(x, h, 1.0)
     add_columns(x, h, rows)
     open_offset(x, h, -1.0)
-    extend(b, h, -1.0)
+    extend(x, b, h, -1.0)
     inject(x, o)
     doubt_it(k, h, o, p)
 
@@ -183,12 +205,18 @@ def carry(x: State, b: Bank, h: Instance) -> None:
     elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
         hold(b, 2, h.b[0] * since)
         drive_on(x, b, 2, h.b[0], h.M[0][0])
+    elif kind == FAULT_FALL_RAMP:
+        hold(b, 2, 0.5 * h.b[0] * since * since)
+        drive_on(x, b, 2, h.b[0] * since, h.M[0][0] * since * since)
     elif kind == FAULT_BARO_STEP:
         hold(b, 3, h.b[0])
     elif kind == FAULT_BARO_RAMP:
         hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
     elif is_taken(kind):
+        b.taken_t[kind] = h.t0
+        b.taken_tau[kind] = h.tau
+        b.taken_reference[kind] = h.reference
         for c in range(h.rows):
             b.taken[kind][c] += h.b[c]
             b.taken_var[kind][c] = h.M[c][c]
@@ -199,12 +227,16 @@ def is_taken(kind: int) -> bool:
     return (
         kind == FAULT_VELOCITY_SCALE
         or kind == FAULT_VELOCITY_LAG
+        or kind == FAULT_VELOCITY_TURN
         or kind == FAULT_BARO_SPEED
+        or kind == FAULT_BARO_SCALE
+        or kind == FAULT_SETTLE
+        or kind == FAULT_SETTLE_HEIGHT
         or kind == FAULT_LEVER
     )
 
 
-def extend(b: Bank, h: Instance, sign: float) -> None:
+def extend(x: State, b: Bank, h: Instance, sign: float) -> None:
     """Extend the columns to the error state that holds the fault from now on; -1: take it back."""
     kind = h.kind
     if kind == FAULT_VELOCITY_STEP:
@@ -212,6 +244,8 @@ def extend(b: Bank, h: Instance, sign: float) -> None:
             h.U[c][E_GNSS_VEL + c] += sign
     elif kind == FAULT_CLIMB_STEP or kind == FAULT_FALL:
         h.U[0][E_GNSS_VEL + 2] += sign
+    elif kind == FAULT_FALL_RAMP:
+        h.U[0][E_GNSS_VEL + 2] += sign * (x.t - h.t0) * 1e-9
     elif kind == FAULT_BODY_FIELD:
         for c in range(3):
             h.U[c][E_IRON + c] += sign
@@ -235,6 +269,8 @@ def open_offset(x: State, h: Instance, sign: float) -> None:
         h.U[0][E_GNSS + 2] += sign
     elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
         h.U[0][E_GNSS + 2] += since
+    elif kind == FAULT_FALL_RAMP:
+        h.U[0][E_GNSS + 2] += 0.5 * since * (x.t - h.t0) * 1e-9
     elif kind == FAULT_BARO_STEP:
         h.U[0][E_BARO] += sign
     elif kind == FAULT_BARO_RAMP:
@@ -271,9 +307,15 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
 
 
 def mix(x: State, k: Parameters, b: Bank) -> None:
-    """Write what the mixture adds to attitude, velocity and position, mean and covariance."""
+    """Write what the mixture adds to attitude, velocity and position, mean and covariance.
+
+    What no other source can ever contradict, and what is over within a minute, widens and does not
+    move: a position and velocity that are led away, a receiver that settles.
+    """
     for i in range(9):
         b.mean[i] = 0.0
+        for g in range(3):
+            b.means[g][i] = 0.0
         for j in range(9):
             b.spread[i][j] = 0.0
     if b.nothing > 1.0 - UNLIKELY:
@@ -289,14 +331,20 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
             columns.look_ahead(b, h.U[c], b.ahead[c])
             for i in range(9):
                 b.work[i] += b.ahead[c][i] * h.b[c]
+        source = k.fault[h.kind].source
+        moves = cython.declare(cython.bint, source != SOURCE_DRAG and source < SOURCE_SETTLING)
         for i in range(9):
-            b.mean[i] += h.p * b.work[i]
+            if moves:
+                b.means[k.fault[h.kind].shows][i] += h.p * b.work[i]
             for j in range(9):
                 s = b.work[i] * b.work[j]
                 for c in range(rows):
                     for d in range(rows):
                         s += b.ahead[c][i] * h.M[c][d] * b.ahead[d][j]
                 b.spread[i][j] += h.p * s
-    for i in range(9):
-        for j in range(9):
-            b.spread[i][j] -= b.mean[i] * b.mean[j]
+    # a level and a vertical fault may be there at once, and are independent
+    for g in range(3):
+        for i in range(9):
+            b.mean[i] += b.means[g][i]
+            for j in range(9):
+                b.spread[i][j] -= b.means[g][i] * b.means[g][j]

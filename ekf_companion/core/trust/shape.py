@@ -17,20 +17,25 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_MAGNETIC,
     E_ATT,
     E_BA,
+    E_BARO,
     E_BG,
     E_DELAY,
     E_IRON,
+    E_POS,
     E_VEL,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
     FAULT_BARO_RAMP,
+    FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
     FAULT_DRAG,
+    FAULT_DRAG_RAMP,
     FAULT_FALL,
+    FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_GYRO_STEP,
@@ -41,16 +46,20 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_SETTLE,
+    FAULT_SETTLE_HEIGHT,
     FAULT_TILT,
     FAULT_VELOCITY_LAG,
     FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
+    FAULT_VELOCITY_TURN,
     FAULT_YAW,
     FAULTS,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.libc.math import exp
 
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
@@ -73,6 +82,12 @@ def begin(h: Instance) -> None:
         h.U[1][E_ATT + 1] = 1.0
     elif kind == FAULT_YAW:
         h.U[0][E_ATT + 2] = 1.0
+    elif kind == FAULT_SETTLE:  # ours began at the first fix
+        h.U[0][E_POS] = -1.0
+        h.U[1][E_POS + 1] = -1.0
+    elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
+        h.U[0][E_POS + 2] = -1.0
+        h.U[0][E_BARO] = -1.0
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
@@ -99,15 +114,30 @@ def take_off(x: State, o: Observation, aid: int) -> None:
         for r in range(3):
             for c in range(3):
                 b.trial.T[r][c] = 0.0
-        add_direct(x, kind, 0.0, o, aid, b.trial.T)
+        since = (x.t - b.taken_t[kind]) * 1e-9
+        add_shape(x, kind, since, b.taken_tau[kind], b.taken_reference[kind], o, aid, b.trial.T)
         for r in range(o.rows):
             for c in range(3):
                 o.z[r] -= b.trial.T[r][c] * b.taken[kind][c]
                 o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
 
 
-def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: Dcm) -> None:
-    """Add to T what a fault that began some seconds ago adds to the reading itself: D."""
+def add_direct(x: State, h: Instance, o: Observation, aid: int, T: Dcm) -> None:
+    """Add to T what a fault adds to the reading itself: D."""
+    add_shape(x, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
+
+
+def add_shape(
+    x: State,
+    kind: int,
+    since: float,
+    tau: float,
+    reference: float,
+    o: Observation,
+    aid: int,
+    T: Dcm,
+) -> None:
+    """Add D of a fault that began some seconds ago, by what it needs to know of its onset."""
     if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP or kind == FAULT_DRAG:
         if aid == AID_POSITION:
             for r in range(2):
@@ -115,6 +145,29 @@ def add_direct(x: State, kind: int, since: float, o: Observation, aid: int, T: D
         elif aid == AID_VELOCITY and kind == FAULT_DRAG:
             for r in range(2):
                 T[r][r] += 1.0
+    elif kind == FAULT_DRAG_RAMP:
+        if aid == AID_POSITION or aid == AID_VELOCITY:
+            for r in range(2):
+                T[r][r] += 0.5 * since * since if aid == AID_POSITION else since
+    elif kind == FAULT_FALL_RAMP:
+        if aid == AID_HEIGHT:
+            T[0][0] += 0.5 * since * since
+        elif aid == AID_VELOCITY and o.rows == 3:
+            T[2][0] += since
+    elif kind == FAULT_SETTLE:
+        if aid == AID_POSITION:
+            for r in range(2):
+                T[r][r] += exp(-since / tau)
+    elif kind == FAULT_SETTLE_HEIGHT:
+        if aid == AID_HEIGHT:
+            T[0][0] += exp(-since / tau)
+    elif kind == FAULT_VELOCITY_TURN:
+        if aid == AID_VELOCITY:
+            T[0][0] -= x.vel_n[1]
+            T[1][0] += x.vel_n[0]
+    elif kind == FAULT_BARO_SCALE:
+        if aid == AID_BARO:
+            T[0][0] += reference - x.pos_n[2]
     elif kind == FAULT_HEIGHT_STEP or kind == FAULT_HEIGHT_RAMP:
         if aid == AID_HEIGHT:
             T[0][0] += 1.0 if kind == FAULT_HEIGHT_STEP else since

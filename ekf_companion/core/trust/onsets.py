@@ -1,0 +1,231 @@
+"""Onsets: which faults may have begun when, kept in an exponential histogram.
+
+An onset is tried at each reading that may be the first to show the fault. There are two instances
+of a kind for each power of two of onsets; the two oldest of a full level become one of the next:
+the older stays, unless the younger explains much more.
+
+Source: detection over all onsets, Willsky and Jones 1976; the histogram, Datar et al. 2002.
+"""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    AID_HEADING,
+    AID_HEIGHT,
+    AID_POSITION,
+    AID_VELOCITY,
+    AZIMUTH_MAGNETIC,
+    E_ATT,
+    FAULT_ACCEL_NOISE,
+    FAULT_ACCEL_STEP,
+    FAULT_BARO_SCALE,
+    FAULT_BARO_STEP,
+    FAULT_BODY_FIELD,
+    FAULT_DELAY,
+    FAULT_FALL_RAMP,
+    FAULT_FIELD,
+    FAULT_GYRO_NOISE,
+    FAULT_HEADING_STEP,
+    FAULT_KICK,
+    FAULT_LEVER,
+    FAULT_POSITION_STEP,
+    FAULT_SETTLE,
+    FAULT_SETTLE_HEIGHT,
+    SOURCE_NOISE,
+    N,
+)
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
+from cython.cimports.ekf_companion.core.memory.scratch import Observation
+from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import score, shape
+from cython.cimports.libc.math import exp
+
+SURER = cython.declare(cython.double, 3.0)
+"""By so much a component, in nats, the younger of two must be better to stay: it has not yet paid
+for what it leaves open."""
+EXCLUDED = cython.declare(cython.double, -6.0)
+"""Evidence below which a fault has not begun then: its size is known to be none."""
+SETTLED = cython.declare(cython.double, 1e10)
+"""Age before which none is excluded, ns."""
+OLDEST = cython.declare(cython.double, 2e11)
+"""Age beyond which an instance that says nothing goes, ns."""
+OFTEN = cython.declare(cython.double, 0.95e9)
+"""Time between two onsets of those that are tried once a second, ns: stamps jitter."""
+WINDOW = cython.declare(cython.double, 0.95e9)
+"""Time over which the inertial noise is learnt as a constant, ns: over ten seconds a slow wave is
+none."""
+SHORTEST_SETTLING = cython.declare(cython.double, 5.0)
+"""Shortest time constant with which a receiver settles, s."""
+LONGER = cython.declare(cython.double, 3.5)
+"""How much longer each of the others is: 5, 17, 61 s."""
+EVER = cython.declare(cython.double, 0.004)
+"""Odds that a heading is off from the first one on."""
+
+
+def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) -> None:
+    """Begin an instance of each kind that this reading may be the first to show.
+
+    What shows in a fix begins with its first row; what another aid alone would show, with that.
+    """
+    if aid == AID_BARO:
+        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SCALE)
+    elif aid == AID_HEADING:
+        first = FAULT_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
+        last = FAULT_BODY_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
+        if b.begun_t[aid] <= NEVER:
+            for kind in range(first, last + 1):
+                begin_heading(x, k, b, o, kind)
+        begin_kinds(x, k, b, aid, first, last)
+    elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
+        b.fix_t = x.fix_t
+        if not x.t - b.window_t < WINDOW:
+            score.end_window(x, k, b)
+            begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
+            begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
+        if b.has_begun == 0.0:
+            b.has_begun = 1.0
+            begin_settling(x, k, b)
+        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
+        begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_LEVER)
+
+
+def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
+    """Begin an instance of each of some kinds, of those that are rarer once in a while."""
+    is_due = cython.declare(cython.bint, x.t - b.begun_t[clock] >= OFTEN)
+    if is_due:
+        b.begun_t[clock] = x.t
+    for kind in range(first, last + 1):
+        if is_due or k.fault[kind].every == 0.0:
+            begin_instance(x, k, b, kind, x.fix_dt if clock == AID_POSITION else 0.1)
+
+
+def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> None:
+    """Begin one of a kind; what its onset stands for is the time since the onset before."""
+    if k.fault[kind].source == SOURCE_NOISE:
+        forget_kind(b, kind)
+    fold(b, kind, k.fault[kind].rows)
+    if b.n == INSTANCES:
+        drop_least(k, b)
+    h = address(b.instance[b.n])
+    b.n += 1
+    h.kind = kind
+    h.rows = k.fault[kind].rows
+    h.reference = x.pos_n[2]
+    h.level = 0
+    h.t0 = x.t
+    h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
+    h.evidence = 0.0
+    h.p = 0.0
+    h.is_wide = 0.0
+    h.recent = 0.0
+    h.readings = 0.0
+    for c in range(3):
+        h.b[c] = 0.0
+        for j in range(3):
+            h.M[c][j] = 0.0
+        h.M[c][c] = k.fault[kind].std * k.fault[kind].std
+        for e in range(N):
+            h.U[c][e] = 0.0
+    shape.begin(h)
+
+
+def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -> None:
+    """Begin what may be ever since: that a heading is off, by which our yaw was found."""
+    begin_instance(x, k, b, kind, 0.0)
+    i = b.n - 1
+    h = address(b.instance[i])
+    h.mass = EVER / k.fault[kind].rate
+    for c in range(3):
+        b.T[i][0][c] = 0.0
+    shape.add_direct(x, h, o, AID_HEADING, b.T[i])
+    for c in range(h.rows):
+        h.U[c][E_ATT + 2] = -b.T[i][0][c]
+
+
+def begin_settling(x: State, k: Parameters, b: Bank) -> None:
+    """Begin what may be since the first fix: that the receiver settles, in one of some times."""
+    tau = SHORTEST_SETTLING
+    for _ in range(3):
+        for kind in range(FAULT_SETTLE, FAULT_SETTLE_HEIGHT + 1):
+            begin_instance(x, k, b, kind, 0.0)
+            b.instance[b.n - 1].tau = tau
+            b.instance[b.n - 1].t0 = x.t - x.fix_dt * 1e9
+        tau *= LONGER
+
+
+def fold(b: Bank, kind: int, rows: int) -> None:
+    """Make room for one more onset of a kind: of a full level the two oldest become one."""
+    level = 0
+    while True:
+        count = 0
+        first = -1
+        second = -1
+        for i in range(b.n):
+            h = address(b.instance[i])
+            if h.kind == kind and h.level == level:
+                count += 1
+                if first < 0 or h.t0 < b.instance[first].t0:
+                    second = first
+                    first = i
+                elif second < 0 or h.t0 < b.instance[second].t0:
+                    second = i
+        # of the first level one is to come; of the others it has
+        if count < (2 if level == 0 else 3):
+            return
+        stays = first
+        goes = second
+        if b.instance[second].evidence > b.instance[first].evidence + SURER * rows:
+            stays = second
+            goes = first
+        h = address(b.instance[stays])
+        h.mass += b.instance[goes].mass * exp(b.instance[goes].evidence - h.evidence)
+        level += 1
+        h.level = level
+        drop(b, goes)
+
+
+def drop(b: Bank, i: int) -> None:
+    """Drop an instance; the last one takes its place."""
+    b.n -= 1
+    if i < b.n:
+        b.instance[i] = b.instance[b.n]
+        for r in range(3):
+            for c in range(3):
+                b.T[i][r][c] = b.T[b.n][r][c]
+
+
+def forget_kind(b: Bank, kind: int) -> None:
+    """Drop all instances of a kind."""
+    i = b.n - 1
+    while i >= 0:
+        if b.instance[i].kind == kind:
+            drop(b, i)
+        i -= 1
+
+
+def drop_least(k: Parameters, b: Bank) -> None:
+    """Drop the least probable instance of a fault."""
+    least = -1
+    for i in range(b.n):
+        h = address(b.instance[i])
+        is_fault = cython.declare(cython.bint, k.fault[h.kind].source != SOURCE_NOISE)
+        if is_fault and (least < 0 or h.p < b.instance[least].p):
+            least = i
+    drop(b, least)
+
+
+def thin(x: State, b: Bank) -> None:
+    """Drop what cannot have begun then, and what is old and says nothing."""
+    i = b.n - 1
+    while i >= 0:
+        h = address(b.instance[i])
+        age = x.t - h.t0
+        if (age > SETTLED and h.evidence < EXCLUDED) or (age > OLDEST and h.evidence < 0.0):
+            drop(b, i)
+        i -= 1
