@@ -25,7 +25,9 @@ from benchmarks.truth.draw import Draw
 from ekf_companion.config.config import Config
 from ekf_companion.fleet import tune
 from ekf_companion.fleet.listing import Listing
-from ekf_companion.fleet.tune import HIGH, LOW, NOISES, PARAMETERS, Fit
+from ekf_companion.fleet.tune import Fit
+from ekf_companion.fleet.tune_flight import Look, look
+from ekf_companion.fleet.tune_parameter import HIGH, LOW, NOISES, PARAMETERS
 
 DURATION = 60.0
 """s of each flight."""
@@ -100,9 +102,11 @@ def groups(flights: int, first: int, jobs: int) -> None:
     theta = np.clip(theta, LOW, HIGH)
     with tempfile.TemporaryDirectory() as folder:
         fly_all(Path(folder), flights, first)
-        task = partial(tune.look, theta=theta, config=Config())
+        task = partial(look, theta=theta, config=Config())
         found = dict(engine.executor(jobs).run(task, list(Listing([folder]))))
     looks = [found[source] for source in sorted(found, key=lambda one: one.name)]
+    if refused := [one for one in looks if not isinstance(one, Look)]:
+        raise SystemExit(f"{len(refused)} of {flights} flights cannot be used: {refused[0]}")
     rng, rows = np.random.default_rng(1), []
     for size in (size for size in SIZES if size <= flights):
         held = []

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from ekf_companion.calibrate.result import Result, Setting
 from ekf_companion.config.config import Config
-from ekf_companion.fleet.tune import ARM, DELAY, PARAMETERS, WHITE_SHARE, Fit, mean_and_error
+from ekf_companion.fleet.tune import Fit, mean_and_error
+from ekf_companion.fleet.tune_parameter import ARM, DELAY, PARAMETERS, WHITE_SHARE
 from ekf_companion.logs.recording import counted
 
 SHOWN = 5
