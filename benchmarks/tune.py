@@ -115,8 +115,8 @@ def groups(flights: int, first: int, jobs: int) -> None:
             for start in range(0, flights - size + 1, size):
                 some = [looks[i] for i in order[start : start + size]]
                 top = np.clip(theta + tune.newton_step(some), LOW, HIGH)
-                half = t.ppf(0.975, size - 1) * tune.jackknife_sigma(tune.left_out(theta, some))
-                held.append(np.abs(top - theta) <= half)
+                sigma = tune.interval_sigma(tune.left_out(theta, some), some)
+                held.append(np.abs(top - theta) <= t.ppf(0.975, size - 1) * sigma)
         shares = " | ".join(f"{share:.2f}" for share in np.mean(held, axis=0)[KNOWN])
         promised = np.array(held)[:, HELD]
         rows.append(f"{size} | {promised.sum()} of {promised.size} | {shares}")

@@ -135,8 +135,7 @@ def tune(
         theta, _, before = _climb(fleet, theta, searched)
     theta, looks, moves = _climb(fleet, theta)
     others = left_out(theta, looks)
-    # A parameter that no flight shows does not scatter either
-    sigma = np.maximum(jackknife_sigma(others), information_sigma(looks))
+    sigma = interval_sigma(others, looks)
     half = float(t.ppf(0.975, len(looks) - 1)) * sigma
     present = configured(config, float(np.median([one.delay for one in looks])))
     is_shown = (half <= SURE) | (np.abs(present - theta) > half)
@@ -294,6 +293,14 @@ def jackknife_sigma(others: Array) -> Array:
     """Return the jackknife's sigma of each parameter."""
     n = len(others)
     return np.asarray(np.sqrt((n - 1) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=0)))
+
+
+def interval_sigma(others: Array, looks: Sequence[Look]) -> Array:
+    """Return the sigma of the intervals: the jackknife's, or the curvature's where that is more.
+
+    A parameter that no flight shows does not scatter either.
+    """
+    return np.maximum(jackknife_sigma(others), information_sigma(looks))
 
 
 def between_flights(looks: Sequence[Look]) -> float:
