@@ -35,6 +35,7 @@ from ekf_companion.fleet.tune_parameter import (
     WHITE_SHARE,
     configured,
     known,
+    to_values,
     tuned,
 )
 from ekf_companion.fleet.tuned_settings import result
@@ -207,6 +208,17 @@ def test_what_flights_do_not_show_stays_as_it_is():
     assert found.gnss.position_std == present.gnss.position_std
     assert found.imu.gyro_noise == present.imu.gyro_noise
     assert text.count("these flights do not show it") == 4
+
+
+@pytest.mark.parametrize("end", [LOW, HIGH])
+def test_a_value_at_the_end_of_its_range_is_said_to_be_there(end):
+    values = a_fit().values.copy()
+    values[[DELAY, 7]] = to_values(end)[[DELAY, 7]]
+    text = pasted(a_fit(values=values))[0]
+    for key in ("delay", "timing_std"):
+        (line,) = (one for one in text.splitlines() if one.lstrip(" #").startswith(f"{key}:"))
+        assert "at the end of the range that is searched" in line
+    assert text.count("at the end of") == 2
 
 
 def test_a_gain_of_chance_is_said_to_be_one():
