@@ -219,6 +219,7 @@ image:
 # Everything of a release, in dist/, of a clean checkout (docs/RELEASE.md): TAG=v1.2.3 must be its
 # version. Without Docker or Podman the only wheel is this system's
 release: $(STAMP)
+	@test -z "$$(git status --porcelain)" || { echo "make release: this checkout has changes; commit them, or remove them" >&2; exit 1; }
 	$(BIN)/python -m tests.release check $(TAG)
 	rm -rf dist && mkdir dist
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build cyclonedx-bom

@@ -25,7 +25,9 @@ from benchmarks.truth.draw import Draw
 from ekf_companion.config.config import Config
 from ekf_companion.fleet import tune
 from ekf_companion.fleet.listing import Listing
-from ekf_companion.fleet.tune import HIGH, LOW, NOISES, PARAMETERS, Fit
+from ekf_companion.fleet.tune import Fit
+from ekf_companion.fleet.tune_flight import Look, look
+from ekf_companion.fleet.tune_parameter import HIGH, LOW, NOISES, PARAMETERS
 
 DURATION = 60.0
 """s of each flight."""
@@ -100,9 +102,11 @@ def groups(flights: int, first: int, jobs: int) -> None:
     theta = np.clip(theta, LOW, HIGH)
     with tempfile.TemporaryDirectory() as folder:
         fly_all(Path(folder), flights, first)
-        task = partial(tune.look, theta=theta, config=Config())
+        task = partial(look, theta=theta, config=Config())
         found = dict(engine.executor(jobs).run(task, list(Listing([folder]))))
     looks = [found[source] for source in sorted(found, key=lambda one: one.name)]
+    if refused := [one for one in looks if not isinstance(one, Look)]:
+        raise SystemExit(f"{len(refused)} of {flights} flights cannot be used: {refused[0]}")
     rng, rows = np.random.default_rng(1), []
     for size in (size for size in SIZES if size <= flights):
         held = []
@@ -111,8 +115,8 @@ def groups(flights: int, first: int, jobs: int) -> None:
             for start in range(0, flights - size + 1, size):
                 some = [looks[i] for i in order[start : start + size]]
                 top = np.clip(theta + tune.newton_step(some), LOW, HIGH)
-                half = t.ppf(0.975, size - 1) * tune.jackknife_sigma(tune.left_out(theta, some))
-                held.append(np.abs(top - theta) <= half)
+                sigma = tune.interval_sigma(tune.left_out(theta, some), some)
+                held.append(np.abs(top - theta) <= t.ppf(0.975, size - 1) * sigma)
         shares = " | ".join(f"{share:.2f}" for share in np.mean(held, axis=0)[KNOWN])
         promised = np.array(held)[:, HELD]
         rows.append(f"{size} | {promised.sum()} of {promised.size} | {shares}")

@@ -22,7 +22,8 @@ case $("$PYTHON" -c 'import sys; print(sys.base_prefix)') in
 *) fail "PYTHON=$PYTHON: is not of this system's packages; name /usr/bin/python3" ;;
 esac
 minor=$("$PYTHON" -c 'import sys; print(sys.version_info[1])')
-version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' ekf_companion/version.py)+py3.$minor
+# To dpkg only 1.2.0~rc1 comes before 1.2.0
+version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' ekf_companion/version.py | sed 's/[abr]/~&/')+py3.$minor
 architecture=$(dpkg --print-architecture)
 
 tree=$(mktemp -d)

@@ -81,8 +81,7 @@ def lidar(
 
     import numpy as np
 
-    from ekf_companion.analysis import lidar_report
-    from ekf_companion.lidar.mcap_output import write_mcap
+    from ekf_companion.analysis import lidar_mcap, lidar_report
     from ekf_companion.lidar.readers import read
     from ekf_companion.lidar.settings import Settings
     from ekf_companion.lidar.solution import lines_of, solve
@@ -96,6 +95,8 @@ def lidar(
         for out in outs or []:
             if out.suffix not in FORMS:
                 raise ConfigError(f"--out: {out}: is a .tum, .csv or .mcap; name one of them")
+            if out.suffix == ".mcap":
+                require("formats", "an .mcap", "mcap.writer")
         if wrong := set(find or []) - {"mounting", "delay"}:
             raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
         if report is not None:
@@ -135,7 +136,7 @@ def lidar(
         for path, kind in kinds:
             with create(path) as file:
                 if kind == ".mcap":
-                    write_mcap(solution, file)
+                    lidar_mcap.write(solution, file)
                     continue
                 for line in lines_of(solution, kind):
                     file.write(f"{line}\n".encode())

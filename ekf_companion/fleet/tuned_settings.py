@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from ekf_companion.calibrate.result import Result, Setting
 from ekf_companion.config.config import Config
-from ekf_companion.fleet.tune import ARM, DELAY, PARAMETERS, WHITE_SHARE, Fit, mean_and_error
+from ekf_companion.fleet.tune import Fit, mean_and_error
+from ekf_companion.fleet.tune_parameter import ARM, DELAY, PARAMETERS, WHITE_SHARE
 from ekf_companion.logs.recording import counted
 
 SHOWN = 5
@@ -70,7 +71,10 @@ def _noise(found: Fit, i: int, section: str, *, is_set: bool) -> Setting:
 
 
 def _words(found: Fit, i: int) -> str:
-    words = f"{PARAMETERS[i].unit}; 95 %: {found.low[i]:.3g} to {found.high[i]:.3g}"
+    one = PARAMETERS[i]
+    words = f"{one.unit}; 95 %: {found.low[i]:.3g} to {found.high[i]:.3g}"
+    if any(math.isclose(found.values[i], end) for end in (one.low, one.high)):
+        words += ", at the end of the range that is searched"
     return words if found.is_shown[i] else f"{words}: {OPEN}"
 
 

@@ -5,17 +5,17 @@ and ``/tf`` in the frames of ROS REP 103 (``map``: east, north, up of the origin
 forward, left, up); ``/location``, the position on a map; ``/log``, a line per change of the status
 and per reset.
 
-Source: MCAP specification, mcap.dev; Foxglove's message schemas (names and fields).
+Source: MCAP specification, mcap.dev.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import orjson
 
+from ekf_companion.logs import foxglove_schema as schema
 from ekf_companion.logs.json_objects import HEAD, write_messages
 from ekf_companion.logs.mcap_file import McapFile
 from ekf_companion.logs.writer import (
@@ -36,62 +36,20 @@ AT_ONCE = 1024
 """Messages made at a time: their text stays in the processor's cache."""
 LOCATION_RATE = 5.0
 """Fixes on the map per second at most, Hz."""
-_INFO, _WARNING = 2, 3
-"""Levels of foxglove.Log."""
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
-
-
-_NUMBER, _TEXT, _WHOLE = {"type": "number"}, {"type": "string"}, {"type": "integer"}
-_TIME = _object(sec=_WHOLE, nsec=_WHOLE)
-_VECTOR = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_QUATERNION = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
-_SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
+_SCHEMAS = {
     "/estimate": (
         "ekf_companion.Estimate",
-        _object(
+        schema.object_of(
             **{name: {"type": ["number", "null"]} for name in COLUMNS[1:-3]},
-            status=_TEXT,
-            reset_count=_WHOLE,
-            reasons=_TEXT,
+            status=schema.TEXT,
+            reset_count=schema.WHOLE,
+            reasons=schema.TEXT,
         ),
     ),
-    "/pose": (
-        "foxglove.PoseInFrame",
-        _object(
-            timestamp=_TIME,
-            frame_id=_TEXT,
-            pose=_object(position=_VECTOR, orientation=_QUATERNION),
-        ),
-    ),
-    "/tf": (
-        "foxglove.FrameTransform",
-        _object(
-            timestamp=_TIME,
-            parent_frame_id=_TEXT,
-            child_frame_id=_TEXT,
-            translation=_VECTOR,
-            rotation=_QUATERNION,
-        ),
-    ),
-    "/location": (
-        "foxglove.LocationFix",
-        _object(
-            timestamp=_TIME,
-            frame_id=_TEXT,
-            latitude=_NUMBER,
-            longitude=_NUMBER,
-            altitude=_NUMBER,
-            position_covariance={"type": "array", "items": _NUMBER},
-            position_covariance_type=_WHOLE,
-        ),
-    ),
-    "/log": (
-        "foxglove.Log",
-        _object(timestamp=_TIME, level=_WHOLE, message=_TEXT, name=_TEXT, file=_TEXT, line=_WHOLE),
-    ),
+    "/pose": schema.POSE,
+    "/tf": schema.TRANSFORM,
+    "/location": schema.LOCATION,
+    "/log": schema.LOG,
 }
 """Name and JSON schema of each channel."""
 
@@ -125,8 +83,8 @@ class Writer(EstimateWriter):
         super().__init__(path)
         self._mcap = McapFile(self.file, f"ekf-companion {__version__}")
         self._channels = {
-            topic: self._mcap.add_channel(topic, name, orjson.dumps(schema))
-            for topic, (name, schema) in _SCHEMAS.items()
+            topic: self._mcap.add_channel(topic, name, orjson.dumps(of_channel))
+            for topic, (name, of_channel) in _SCHEMAS.items()
         }
         self._text = bytearray()
         self._poses, self._locations = Thinning(POSE_RATE), Thinning(LOCATION_RATE)
@@ -212,8 +170,8 @@ class Writer(EstimateWriter):
             if why:
                 words += f": {reason.WORDS[Reason(why)]}"
             line = {
-                "timestamp": _time(int(table.stamp_ns[row])),
-                "level": _INFO if status <= Status.OK else _WARNING,
+                "timestamp": schema.time_of(int(table.stamp_ns[row])),
+                "level": schema.INFO if status <= Status.OK else schema.WARNING,
                 "message": words,
                 "name": "ekf-companion",
                 "file": "",
@@ -222,7 +180,3 @@ class Writer(EstimateWriter):
             self._last = status, resets, why
             stamps = table.stamp_ns[row : row + 1]
             self._add_objects("/log", stamps, np.zeros((1, 0)), [], [orjson.dumps(line)])
-
-
-def _time(stamp_ns: int) -> dict[str, int]:
-    return {"sec": stamp_ns // 1_000_000_000, "nsec": stamp_ns % 1_000_000_000}

@@ -46,13 +46,22 @@ class Repeats:
         first_ns = int(t_ns[0]) - 1 if self._newest_ns is None else self._newest_ns
         newest = np.maximum.accumulate(np.append(first_ns, t_ns))
         known = np.append(self._past, _marks(rows))
-        if self._is_within or (t_ns < newest[:-1] - BACK_NS).any():
+        is_back = t_ns < newest[:-1] - BACK_NS
+        if self._is_within or is_back.any():
             _, first, which = np.unique(known, return_index=True, return_inverse=True)
             is_copy = first[which] < np.arange(len(known))
             # 0 is no time, so it tells no row from another
             found = is_copy[len(self._past) :] & (t_ns <= newest[:-1]) & (t_ns != 0)
+            # A block begins where copies go back, and ends where time goes on
+            row = np.arange(1, len(t_ns) + 1)
+            begin = np.maximum.accumulate(np.where(found & is_back, row, 0))
+            end = np.maximum.accumulate(
+                np.where(t_ns > newest[:-1], row, -1 if self._is_within else 0)
+            )
+            is_within = begin > end
+            found &= is_within
+            self._is_within = bool(is_within[-1])
         self._past, self._newest_ns = known[-KEPT:], int(newest[-1])
-        self._is_within = bool(found[-1])
         self.count += int(found.sum())
         return found
 

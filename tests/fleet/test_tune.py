@@ -17,22 +17,25 @@ from ekf_companion.errors import LogError
 from ekf_companion.fleet import tune
 from ekf_companion.fleet.source import of_path
 from ekf_companion.fleet.tune import (
+    Fit,
+    between_flights,
+    interval_sigma,
+    jackknife_sigma,
+    left_out,
+    newton_step,
+)
+from ekf_companion.fleet.tune_flight import Likelihood, Look, differences
+from ekf_companion.fleet.tune_parameter import (
     BEGIN,
     DELAY,
     HIGH,
     LOW,
     PARAMETERS,
     SURE,
-    Fit,
-    Likelihood,
-    Look,
-    between_flights,
+    WHITE_SHARE,
     configured,
-    information_sigma,
-    jackknife_sigma,
     known,
-    left_out,
-    newton_step,
+    to_values,
     tuned,
 )
 from ekf_companion.fleet.tuned_settings import result
@@ -72,6 +75,19 @@ def test_a_parabola_is_climbed_in_one_step():
     assert theta + newton_step(looks) == pytest.approx(tops.mean(axis=0), abs=1e-5)  # the prior
 
 
+def test_differences_show_a_parabola_as_it_is():
+    look = bowls(np.random.default_rng(6), BEGIN, 1)[0][0]
+
+    def parabola(theta):
+        off = theta - BEGIN
+        return look.value + look.slope @ off + 0.5 * off @ look.curvature @ off
+
+    value, slope, curvature = differences(parabola, BEGIN)
+    assert value == look.value
+    assert slope == pytest.approx(look.slope, rel=1e-6, abs=1e-3)  # of 1e5, over steps of 0.01
+    assert curvature == pytest.approx(look.curvature, rel=1e-6, abs=0.1)
+
+
 def test_where_it_curves_upwards_the_step_still_goes_uphill():
     slope = np.zeros(N)
     slope[4] = 3.0
@@ -87,12 +103,12 @@ def test_the_interval_is_that_of_a_mean_where_all_flights_show_as_much():
     assert jackknife_sigma(left_out(theta, looks)) == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_parameter_that_no_flight_feels_is_not_known():
+def test_a_parameter_that_no_flight_shows_is_not_known():
     looks, _ = bowls(np.random.default_rng(5), BEGIN, 6)
     for one in looks:
         one.slope[6] = one.curvature[6, :] = one.curvature[:, 6] = 0.0
     assert jackknife_sigma(left_out(BEGIN, looks))[6] == pytest.approx(0.0, abs=1e-9)
-    sigma = information_sigma(looks)
+    sigma = interval_sigma(left_out(BEGIN, looks), looks)
     assert sigma[6] > 10.0 * SURE[6]
     assert (np.delete(sigma, 6) < 0.1 * np.delete(SURE, 6)).all()
 
@@ -161,7 +177,7 @@ def pasted(fit):
 def test_what_is_printed_is_the_configuration_whose_gain_is_told():
     text, found = pasted(a_fit())
     assert found.gnss.lever_arm == (0.31, -0.2, -0.11)
-    assert (found.gnss.position_std, found.gnss.white_share) == (0.4, tune.WHITE_SHARE)
+    assert (found.gnss.position_std, found.gnss.white_share) == (0.4, WHITE_SHARE)
     assert (found.imu.accel_noise, found.imu.learn_noise) == (0.05, False)
     meant = a_fit().settings(Config())
     for one in PARAMETERS[4:]:
@@ -194,6 +210,17 @@ def test_what_flights_do_not_show_stays_as_it_is():
     assert text.count("these flights do not show it") == 4
 
 
+@pytest.mark.parametrize("end", [LOW, HIGH])
+def test_a_value_at_the_end_of_its_range_is_said_to_be_there(end):
+    values = a_fit().values.copy()
+    values[[DELAY, 7]] = to_values(end)[[DELAY, 7]]
+    text = pasted(a_fit(values=values))[0]
+    for key in ("delay", "timing_std"):
+        (line,) = (one for one in text.splitlines() if one.lstrip(" #").startswith(f"{key}:"))
+        assert "at the end of the range that is searched" in line
+    assert text.count("at the end of") == 2
+
+
 def test_a_gain_of_chance_is_said_to_be_one():
     gains = np.tile(np.array([[-30.0, -31.0], [33.0, 32.0]]), (4, 1))
     assert "no more than chance" in pasted(a_fit(gains=gains))[0]
@@ -207,6 +234,7 @@ def test_a_configuration_is_the_start_of_none_of_its_noises_lost():
     assert again.imu.gyro_noise == pytest.approx(config.imu.gyro_noise)
     assert (theta >= LOW).all()
     assert (theta <= HIGH).all()
+    assert known(replace(config, weigh_faults="report"), theta) == again  # at a tenth of the time
     nothing = tuned(config, theta, np.zeros(N, dtype=bool), (0.01, 0.02), learns=True)
     assert nothing == config
 

@@ -51,6 +51,12 @@ def test_rows_that_are_late_or_of_another_flight_are_no_copies():
     assert not repeats.take(T_NS, other).any()
 
 
+@pytest.mark.parametrize("parts", [1, 2, 7, 50])
+def test_packets_that_came_twice_are_no_copies_beside_a_block_that_is_one(parts):
+    order = [*range(1000), *range(900, 2000), *range(500, 1000), *range(1900, 3000)]
+    assert found(order, parts=parts) == [*range(2100, 2700)]
+
+
 def test_rows_without_a_time_are_no_copies_of_each_other():
     t_ns = T_NS.copy()
     t_ns[500::100] = 0

@@ -4,7 +4,7 @@ Channels, as JSON with schemas: ``/pose`` and ``/tf`` (``map``: the levelled wor
 the inertial sensor; forward, left, up), ``/estimate`` with the numbers of the .csv, ``/map`` with
 the points of the map at the end, and ``/log`` with verdict and remarks.
 
-Source: MCAP specification, mcap.dev; Foxglove's message schemas (names and fields).
+Source: MCAP specification, mcap.dev.
 """
 
 from __future__ import annotations
@@ -18,23 +18,12 @@ import orjson
 
 from ekf_companion.errors import part_of
 from ekf_companion.lidar.solution import Solution, lines_of
+from ekf_companion.logs import foxglove_schema as schema
 
 FRAME, BODY = "map", "base_link"
-SCHEMAS = {
-    "/pose": "foxglove.PoseInFrame",
-    "/tf": "foxglove.FrameTransform",
-    "/estimate": "ekf_companion.LidarEstimate",
-    "/map": "foxglove.PointCloud",
-    "/log": "foxglove.Log",
-}
-"""Name of the schema of each channel."""
-_FLOAT32 = 7
-"""Of foxglove.PackedElementField."""
-_INFO = 2
-"""Of foxglove.Log."""
 
 
-def write_mcap(solution: Solution, file: BinaryIO) -> None:
+def write(solution: Solution, file: BinaryIO) -> None:
     """Write estimates, map and verdict.
 
     Raises:
@@ -44,13 +33,25 @@ def write_mcap(solution: Solution, file: BinaryIO) -> None:
         from mcap.writer import Writer
     writer = Writer(file)
     writer.start(profile="", library="ekf-companion")
+    head = next(lines_of(solution, ".csv")).split(",")
+    numbers = {name: schema.NUMBER for name in head if name != "t_s"}
+    schemas = {
+        "/pose": schema.POSE,
+        "/tf": schema.TRANSFORM,
+        "/estimate": (
+            "ekf_companion.LidarEstimate",
+            schema.object_of(timestamp=schema.TIME, **numbers),
+        ),
+        "/map": schema.POINTS,
+        "/log": schema.LOG,
+    }
     channels = {}
-    for topic, name in SCHEMAS.items():
-        schema = writer.register_schema(name, "jsonschema", b'{"type":"object"}')
-        channels[topic] = writer.register_channel(topic, "json", schema)
+    for topic, (name, of_channel) in schemas.items():
+        number = writer.register_schema(name, "jsonschema", orjson.dumps(of_channel))
+        channels[topic] = writer.register_channel(topic, "json", number)
     for topic, stamp, message in _messages(solution):
         ns = round(stamp * 1e9)
-        message["timestamp"] = {"sec": ns // 1_000_000_000, "nsec": ns % 1_000_000_000}
+        message["timestamp"] = schema.time_of(ns)
         writer.add_message(channels[topic], ns, orjson.dumps(message), ns)
     writer.finish()
 
@@ -72,11 +73,19 @@ def _messages(solution: Solution) -> Iterator[tuple[str, float, dict[str, Any]]]
         yield "/tf", stamp, {**names, "translation": position, "rotation": turn}
         yield "/estimate", stamp, dict(numbers)
     last = solution.estimates[-1].stamp
-    fields = [{"name": axis, "offset": 4 * k, "type": _FLOAT32} for k, axis in enumerate("xyz")]
+    fields = [
+        {"name": axis, "offset": 4 * k, "type": schema.FLOAT32} for k, axis in enumerate("xyz")
+    ]
     data = base64.b64encode(solution.points.astype(np.float32).tobytes()).decode()
     here = {"position": dict.fromkeys("xyz", 0.0), "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
     cloud = {"frame_id": FRAME, "pose": here, "point_stride": 12, "fields": fields, "data": data}
     yield "/map", last, cloud
     for text in (solution.verdict(), *solution.remarks()):
-        line = {"level": _INFO, "message": text, "name": "ekf-companion", "file": "", "line": 0}
+        line = {
+            "level": schema.INFO,
+            "message": text,
+            "name": "ekf-companion",
+            "file": "",
+            "line": 0,
+        }
         yield "/log", last, line
