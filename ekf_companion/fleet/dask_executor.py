@@ -68,7 +68,8 @@ class Dask:
                 outcome = _outcome(future)
                 future.release()
                 # Dask gives up a task that was on four lost workers, though it killed none of them
-                if outcome == Lost(KILLED) and attempt < ATTEMPTS:
+                is_killed = isinstance(outcome, Lost) and outcome.why == KILLED
+                if is_killed and attempt < ATTEMPTS:
                     submit(item, attempt + 1)
                     continue
                 for another in islice(left, 1):
