@@ -149,13 +149,18 @@ def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -
 
 
 def begin_settling(x: State, k: Parameters, b: Bank) -> None:
-    """Begin what may be since the first fix: that the receiver settles, in one of some times."""
+    """Begin what may be since the first fix: that the receiver settles, in one of some times.
+
+    Each has a level of its own: they are no onsets of one fault, and do not become one.
+    """
     tau = SHORTEST_SETTLING
-    for _ in range(3):
+    for time in range(3):
         for kind in range(FAULT_SETTLE, FAULT_SETTLE_HEIGHT + 1):
             begin_instance(x, k, b, kind, 0.0)
-            b.instance[b.n - 1].tau = tau
-            b.instance[b.n - 1].t0 = x.t - x.fix_dt * 1e9
+            h = address(b.instance[b.n - 1])
+            h.level = 1 + time
+            h.tau = tau
+            h.t0 = x.t - x.fix_dt * 1e9
         tau *= LONGER
 
 
