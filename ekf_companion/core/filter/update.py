@@ -169,14 +169,17 @@ def apply_delay_update(x: State, o: Observation) -> None:
         columns.correct_delay(x, o, gain)
 
 
-def add_columns(x: State, h: Instance, rows: int) -> None:
-    """Add the uncertainty of a fault to P, by its columns: U M U'."""
-    for c in range(rows):
-        for d in range(rows):
+def add_columns(x: State, h: Instance, off: Vector, weight: float) -> None:
+    """Add a share of a fault's uncertainty to P: U M U', and that its mean is off by N numbers."""
+    for c in range(h.rows):
+        for d in range(h.rows):
             for i in range(N):
-                s = h.U[c][i] * h.M[c][d]
+                s = weight * h.U[c][i] * h.M[c][d]
                 for j in range(N):
                     x.P[i][j] += s * h.U[d][j]
+    for i in range(N):
+        for j in range(N):
+            x.P[i][j] += weight * off[i] * off[j]
     for i in range(N):
         for j in range(i):
             x.P[i][j] = x.P[j][i]

@@ -56,6 +56,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     WEIGH_ACT,
     N,
 )
+from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -144,7 +145,6 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     b = address(o.bank[0])
     h = address(b.instance[i])
     kind = h.kind
-    rows = k.fault[kind].rows
     shows = k.fault[kind].shows
     columns.follow(x, b)
     b.declared[kind] += 1.0
@@ -153,12 +153,10 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     extend(x, b, h, 1.0)
     for e in range(N):
         o.dx[e] = 0.0
-        for c in range(rows):
+        for c in range(h.rows):
             o.dx[e] += h.U[c][e] * h.b[c]
-    open_offset(x, h, 1.0)
-    add_columns(x, h, rows)
-    open_offset(x, h, -1.0)
     extend(x, b, h, -1.0)
+    spread(x, k, o, i, p)
     inject(x, o)
     doubt_it(k, h, o, p)
 
@@ -172,6 +170,39 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
                 stays = j
             drop(b, j)
         j -= 1
+
+
+def spread(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
+    """Add to P what is not known of the fault: its size, and which of its source's it is, and when.
+
+    The state goes by the most probable one; how far the others are from it is uncertainty.
+    """
+    b = address(o.bank[0])
+    source = k.fault[b.instance[i].kind].source
+    find_effect(x, b, address(b.instance[i]), o.gain)
+    for j in range(b.n):
+        h = address(b.instance[j])
+        if k.fault[h.kind].source == source and h.p > UNLIKELY:
+            find_effect(x, b, h, b.work)
+            for e in range(N):
+                b.work[e] -= o.gain[e]
+            extend(x, b, h, 1.0)
+            open_offset(x, h, 1.0)
+            add_columns(x, h, b.work, h.p / p)
+            open_offset(x, h, -1.0)
+            extend(x, b, h, -1.0)
+
+
+def find_effect(x: State, b: Bank, h: Instance, out: Vector) -> None:
+    """Write what a fault of its mean does to each error state, with those that will hold it."""
+    extend(x, b, h, 1.0)
+    open_offset(x, h, 1.0)
+    for e in range(N):
+        out[e] = 0.0
+        for c in range(h.rows):
+            out[e] += h.U[c][e] * h.b[c]
+    open_offset(x, h, -1.0)
+    extend(x, b, h, -1.0)
 
 
 def doubt_it(k: Parameters, h: Instance, o: Observation, p: float) -> None:
