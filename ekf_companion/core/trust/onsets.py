@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank
+from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
@@ -43,11 +43,9 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import score, shape
-from cython.cimports.libc.math import exp
+from cython.cimports.libc.math import exp, log
 
-SURER = cython.declare(cython.double, 3.0)
-"""By so much a component, in nats, the younger of two must be better to stay: it has not yet paid
-for what it leaves open."""
+LEAST_VAR = cython.declare(cython.double, 1e-20)
 EXCLUDED = cython.declare(cython.double, -6.0)
 """Evidence below which a fault has not begun then: its size is known to be none."""
 SETTLED = cython.declare(cython.double, 1e10)
@@ -109,7 +107,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
     """Begin one of a kind; what its onset stands for is the time since the onset before."""
     if k.fault[kind].source == SOURCE_NOISE:
         forget_kind(b, kind)
-    fold(b, kind, k.fault[kind].rows)
+    fold(b, kind)
     if b.n == INSTANCES:
         drop_least(k, b)
     h = address(b.instance[b.n])
@@ -164,7 +162,7 @@ def begin_settling(x: State, k: Parameters, b: Bank) -> None:
         tau *= LONGER
 
 
-def fold(b: Bank, kind: int, rows: int) -> None:
+def fold(b: Bank, kind: int) -> None:
     """Make room for one more onset of a kind: of a full level the two oldest become one."""
     level = 0
     while True:
@@ -185,7 +183,7 @@ def fold(b: Bank, kind: int, rows: int) -> None:
             return
         stays = first
         goes = second
-        if b.instance[second].evidence > b.instance[first].evidence + SURER * rows:
+        if is_better(address(b.instance[second]), address(b.instance[first])):
             stays = second
             goes = first
         h = address(b.instance[stays])
@@ -193,6 +191,34 @@ def fold(b: Bank, kind: int, rows: int) -> None:
         level += 1
         h.level = level
         drop(b, goes)
+
+
+def is_better(younger: Instance, older: Instance) -> bool:
+    """Return whether the younger of two explains more, once it knows as much of its size.
+
+    As long as it knows less it has not paid for what it leaves open: half the logarithm of the
+    ratio of the determinants, as in Occam's factor of an evidence.
+    """
+    owed = 0.5 * (log_determinant(younger) - log_determinant(older))
+    return younger.evidence - (owed if owed > 0.0 else 0.0) > older.evidence
+
+
+def log_determinant(h: Instance) -> float:
+    """Return the logarithm of the determinant of M."""
+    a = h.M[0][0]
+    det = a if a > LEAST_VAR else LEAST_VAR
+    total = log(det)
+    if h.rows > 1:
+        f = h.M[1][0] / det
+        s = h.M[1][1] - f * h.M[0][1]
+        s = s if s > LEAST_VAR else LEAST_VAR
+        total += log(s)
+        if h.rows > 2:
+            g = h.M[2][0] / det
+            cross = h.M[2][1] - g * h.M[0][1]
+            last = h.M[2][2] - g * h.M[0][2] - cross * cross / s
+            total += log(last if last > LEAST_VAR else LEAST_VAR)
+    return total
 
 
 def drop(b: Bank, i: int) -> None:
