@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -250,7 +251,7 @@ def test_a_file_that_does_not_end_is_not_waited_for(tmp_path):
     share = tmp_path / "share"
     os.mkfifo(share)
     command = [sys.executable, "-c", SLOW.format(port=free_port(), share=share)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as it:
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as it, ending(it):
         assert it.stderr is not None
 
         def wait_for(words):
@@ -261,14 +262,25 @@ def test_a_file_that_does_not_end_is_not_waited_for(tmp_path):
         wait_for("the configuration could not be read within 3 s; all stays as it was")
         it.send_signal(signal.SIGHUP)
         wait_for("the configuration is still being read; wait for that; all stays as it was")
-        share.write_text("too late")
+        os.close(os.open(share, os.O_WRONLY))  # too late
+        # each signal has an answer; what was read too late has none
+        it.send_signal(signal.SIGHUP)
         for line in it.stderr:
             if "Taken: baro.std: 0.5 -> 2.0" in line:
                 break
             it.send_signal(signal.SIGHUP)
         it.send_signal(signal.SIGTERM)
         it.stderr.read()
-    assert it.returncode == 0
+        assert it.wait() == 0
+
+
+@contextmanager
+def ending(process):
+    """End a process whatever becomes of the test: who leaves it alone waits for it for good."""
+    try:
+        yield
+    finally:
+        process.kill()
 
 
 BUG = """
