@@ -86,19 +86,29 @@ def test_a_report_changes_no_bit():
     assert np.array_equal(off, report, equal_nan=True)
 
 
-def test_late_fixes_find_the_same_to_the_bit():
+@pytest.mark.parametrize(
+    ("mode", "kind", "column", "step"),
+    [
+        ("report", Kind.GNSS, 0, 20 * METRE),
+        ("act", Kind.GNSS, 0, 20 * METRE),
+        ("act", Kind.MAG, 1, 0.15),
+    ],
+    ids=["report", "act", "field"],
+)
+def test_late_fixes_find_the_same_to_the_bit(mode, kind, column, step):
     """Whatever the order of arrival within the window, each is weighed in its place, and once."""
     events, _ = flight("figure-eight", END)
-    events = faulty(events, Kind.GNSS, 0, 20 * METRE)
+    events = faulty(events, kind, column, step)
     arrival = events.t_ns + np.where(events.kind == Kind.GNSS, 400_000_000, 0)
     arrival[events.kind == Kind.BARO] += 150_000_000
     late = events.take(np.argsort(arrival, kind="stable"))
-    in_order, shuffled = pipeline(), pipeline()
+    in_order, shuffled = pipeline(mode), pipeline(mode)
     in_order.run(events)
     shuffled.run(late)
     assert in_order.found_faults()
     assert in_order.found_faults() == shuffled.found_faults()
     assert in_order._timeline.hypotheses() == shuffled._timeline.hypotheses()
+    assert np.array_equal(in_order.values(), shuffled.values(), equal_nan=True)
 
 
 def test_probabilities_are_those_of_exclusive_explanations():

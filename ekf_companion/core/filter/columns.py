@@ -144,6 +144,14 @@ def observe(b: Bank, o: Observation) -> None:
                         b.T[i][r][c] += slope * h.U[c][e]
 
 
+def take_rows(x: State, b: Bank, o: Observation) -> None:
+    """Take T for a correction: as it was judged, or else by the state alone."""
+    if b.is_observed == 0:
+        follow(x, b)
+        observe(b, o)
+    b.is_observed = 0
+
+
 def correct(x: State, o: Observation) -> None:
     """Let the columns follow a correction that was just made by all rows at once.
 
@@ -151,10 +159,7 @@ def correct(x: State, o: Observation) -> None:
     with, ``o.dx`` what the state was moved by.
     """
     b = address(o.bank[0])
-    if b.is_observed == 0:
-        follow(x, b)
-        observe(b, o)
-    b.is_observed = 0
+    take_rows(x, b, o)
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):
@@ -175,10 +180,7 @@ def correct(x: State, o: Observation) -> None:
 def correct_yaw(x: State, o: Observation) -> None:
     """The same of a correction of yaw alone, by ``o.gain``."""
     b = address(o.bank[0])
-    if b.is_observed == 0:
-        follow(x, b)
-        observe(b, o)
-    b.is_observed = 0
+    take_rows(x, b, o)
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):
@@ -190,9 +192,7 @@ def correct_yaw(x: State, o: Observation) -> None:
 def correct_delay(x: State, o: Observation, gain: float) -> None:
     """The same of a correction of the fixes' delay alone, by its gain."""
     b = address(o.bank[0])
-    follow(x, b)
-    observe(b, o)
-    b.is_observed = 0
+    take_rows(x, b, o)
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):

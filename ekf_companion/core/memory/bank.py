@@ -1,7 +1,7 @@
 """The bank of fault hypotheses: what the estimate would be off by, if a fault had begun.
 
 ``setup.py`` makes ``bank.pxd`` from it. What lies before ``T`` outlives a step, as far as there are
-instances; so a snapshot copies that and no more.
+instances; so a snapshot copies that and no more. What lies behind it is written before it is read.
 """
 
 from typing import Annotated
@@ -110,8 +110,6 @@ class Bank:
     """How many readings in a row say the same, as learnt: one, if they are white."""
     nothing: Real
     """Posterior probability that nothing is wrong."""
-    acts: Real
-    """What it finds is repaired, and what is shown is the mixture."""
     since: Annotated[Vector, SOURCES]
     """Since when a source is beyond doubt, ns."""
     declared: Annotated[Vector, FAULTS]
@@ -125,6 +123,8 @@ class Bank:
     """Since when, ns."""
     driven_t: Annotated[Vector, 4]
     """Until when it was driven, ns."""
+    field_slope: Annotated[Vector, 2]
+    """What a field in n does to the last azimuth, rad/gauss."""
     taken: Annotated[Vector, FAULTS, 3]
     """What is taken off the readings: of declared faults that no error state holds."""
     taken_var: Annotated[Vector, FAULTS, 3]
@@ -132,12 +132,8 @@ class Bank:
     """Onset of each, ns."""
     taken_tau: Annotated[Vector, FAULTS]
     taken_reference: Annotated[Vector, FAULTS]
-    explained: Annotated[Vector, AIDS]
-    """Recent mean NIS a row by the best explanation."""
     window_t: Real
     """Begin of the window of the inertial noise, ns."""
-    has_outlier: Real
-    """It holds a reading beyond its gate."""
     lam: Annotated[Vector, 6]
     """Sum over the window of T' y: accelerometer, gyro."""
     Lam: Annotated[Vector, 6]
@@ -170,8 +166,6 @@ class Bank:
     """Rates of declared slides before the last was declared, m/s."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
-    field_slope: Annotated[Vector, 2]
-    """What a field in n does to the last azimuth, rad/gauss."""
     trial: Trial
 
 

@@ -11,5 +11,7 @@ EARTH_RATE = 7.292115e-5
 """Rate at which the Earth turns, rad/s (WGS-84)."""
 UNKNOWN_ANGLE = 3.29
 """Variance of an angle that may be any: pi^2 / 3, rad^2."""
+THREE_SIGMA2 = 9.0
+"""Square of three sigma: what is larger is hardly of that variance."""
 SAME_CAUSE = 2.0
 """Time within which the refusals of two measurements of a receiver have one cause, s."""

@@ -13,7 +13,7 @@ from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.bank import Bank
-from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE
+from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEIGHT,
@@ -87,8 +87,6 @@ OWN_DRIFT = cython.declare(cython.double, 0.5)
 """Drift of our position that is possible while the velocity is fused and agrees, m/s."""
 LARGEST_DRIFT = cython.declare(cython.double, (OWN_DRIFT / 3.0) ** 2)
 """Variance of which that is three sigma, m^2/s^2."""
-FADING = cython.declare(cython.double, 9.0)
-"""Square of an offset, of its usual variance, beyond which it is a fault's."""
 LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
 """Longest time for which a position that drift cannot explain is refused, s."""
 SHORTEST_RUN = cython.declare(cython.double, 3.0)
@@ -195,7 +193,7 @@ def widen_offsets(x: State, b: Bank) -> None:
         if b.held[i] != 0.0 and x.P[E_GNSS + i][E_GNSS + i] > x.gnss_offset_var[level]:
             x.gnss_offset_var[level] = x.P[E_GNSS + i][E_GNSS + i]
         square = x.gnss_vel_offset[i] * x.gnss_vel_offset[i]
-        if square > FADING * x.gnss_vel_offset_var:
+        if square > THREE_SIGMA2 * x.gnss_vel_offset_var:
             x.gnss_vel_offset_var = square
 
 

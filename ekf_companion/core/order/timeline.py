@@ -131,8 +131,6 @@ class Timeline:
         self.banks = as_banks(self.bank_table)
         self.w.observation.has_bank = has_bank
         self.w.observation.bank = self.banks
-        if has_bank:
-            self.banks[0].acts = 1.0 if self.k.weighs_faults == enums.WEIGH_ACT else 0.0
         self.expected_t = EVER
         self.late_last = np.zeros(len(self.delay))
         self.late_next = np.full(len(self.delay), -1.0)

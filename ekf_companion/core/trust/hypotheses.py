@@ -7,7 +7,7 @@ more of b. An onset is tried at each reading, and kept in an exponential histogr
 a kind for each power of two of onsets, the two oldest of a full level become one of the next.
 
 Each has its own gate: 80 m are an outlier where nothing is wrong, and none where a step began. An
-outlier costs a reading no more than that it may be one of 200 that lie anywhere within 100 sigma.
+outlier costs a reading no more than that it may be one of 200, a hundred times wider.
 
 Source: Willsky and Jones 1976 (generalized likelihood ratio); Joerger and Pervan 2013 (posterior).
 """
@@ -51,7 +51,7 @@ GATE = cython.declare(cython.double, 9.0)
 OUTLIER = cython.declare(cython.double, 10.6)
 """2 ln 200: one reading of 200 is an outlier."""
 OUTLIER_ROW = cython.declare(cython.double, 9.4)
-"""2 ln (2 * 100 / sqrt(2 pi)) and a margin, a row: it lies anywhere within 100 sigma."""
+"""2 ln 110, a row: its errors are so many times wider."""
 BLOCK = cython.declare(cython.double, 2e9)
 """Time over which innovations of an aid are summed to see what they have in common, ns."""
 MEMORY = cython.declare(cython.double, 10.0)
@@ -63,10 +63,11 @@ RECENT = cython.declare(cython.double, 10.0)
 OPEN = cython.declare(cython.double, 0.25)
 """Least variance of the size, of its prior, down to which it is open: half the sigma."""
 LN_TEN = cython.declare(cython.double, 2.302585092994046)
+"""What it costs to be one of ten."""
 AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed: a receiver among houses."""
 FADES = cython.declare(cython.double, 60e9)
-"""ns."""
+"""Time constant with which that passes, ns."""
 EVEN = cython.declare(cython.double, 0.5)
 """Probability of its fault from which on a source is not fused."""
 ANY = cython.declare(cython.double, 1e8)

@@ -2,7 +2,7 @@
 
 An onset is tried at each reading that may be the first to show the fault. There are two instances
 of a kind for each power of two of onsets; the two oldest of a full level become one of the next:
-the older stays, unless the younger explains much more.
+the older stays, unless the younger explains more once it has paid for what it leaves open.
 
 Source: detection over all onsets, Willsky and Jones 1976; the histogram, Datar et al. 2002.
 """
@@ -46,6 +46,7 @@ from cython.cimports.ekf_companion.core.trust import score, shape
 from cython.cimports.libc.math import exp, log
 
 LEAST_VAR = cython.declare(cython.double, 1e-20)
+"""Variance below any size that is known: rounding leaves none, which has no logarithm."""
 EXCLUDED = cython.declare(cython.double, -6.0)
 """Evidence below which a fault has not begun then: its size is known to be none."""
 SETTLED = cython.declare(cython.double, 1e10)
@@ -53,10 +54,8 @@ SETTLED = cython.declare(cython.double, 1e10)
 OLDEST = cython.declare(cython.double, 2e11)
 """Age beyond which an instance that says nothing goes, ns."""
 OFTEN = cython.declare(cython.double, 0.95e9)
-"""Time between two onsets of those that are tried once a second, ns: stamps jitter."""
-WINDOW = cython.declare(cython.double, 0.95e9)
-"""Time over which the inertial noise is learnt as a constant, ns: over ten seconds a slow wave is
-none."""
+"""Time between two onsets of those that are tried once a second, ns: stamps jitter. The inertial
+noise is learnt over as long: over ten seconds a slow wave is none."""
 SHORTEST_SETTLING = cython.declare(cython.double, 5.0)
 """Shortest time constant with which a receiver settles, s."""
 LONGER = cython.declare(cython.double, 3.5)
@@ -81,7 +80,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         begin_kinds(x, k, b, aid, first, last)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
         b.fix_t = x.fix_t
-        if not x.t - b.window_t < WINDOW:
+        if not x.t - b.window_t < OFTEN:
             score.end_window(x, k, b)
             begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
             begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AIDS,
@@ -32,7 +33,7 @@ def heading_level(x: State, k: Parameters) -> float:
     While nothing shows the error, its variance is the level already, and nothing changes.
     """
     level = x.heading_std * x.heading_std
-    if k.weighs_faults == WEIGH_ACT and x.heading_offset * x.heading_offset > 9.0 * level:
+    if k.weighs_faults == WEIGH_ACT and x.heading_offset * x.heading_offset > THREE_SIGMA2 * level:
         return x.heading_offset * x.heading_offset
     if x.azimuth != AZIMUTH_FIELD or k.learn_noise == 0.0:
         return level

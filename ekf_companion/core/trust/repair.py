@@ -17,7 +17,7 @@ from cython.cimports.ekf_companion.core.filter.columns import turn
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
 from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_BARO,
     E_DELAY,
@@ -70,7 +70,7 @@ SUREST = cython.declare(cython.double, 0.9999)
 PATIENCE = cython.declare(cython.double, 3.0)
 """Fixes for which it must be so."""
 SHORTEST = cython.declare(cython.double, 0.6e9)
-"""And for at least so long, ns."""
+"""And for at least so long, ns: as three fixes of the usual receiver take."""
 SAME_FAULT = cython.declare(cython.double, 5e9)
 """Time, ns, after which a fault of the same kind is told as another one."""
 SETTLED = cython.declare(cython.double, 2.0)
@@ -150,12 +150,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     b.declared[kind] += 1.0
     b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h)
-    extend(x, b, h, 1.0)
-    for e in range(N):
-        o.dx[e] = 0.0
-        for c in range(h.rows):
-            o.dx[e] += h.U[c][e] * h.b[c]
-    extend(x, b, h, -1.0)
+    find_effect(x, b, h, 0.0, o.dx)
     spread(x, k, o, i, p)
     inject(x, o)
     doubt_it(k, h, o, p)
@@ -179,11 +174,11 @@ def spread(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     """
     b = address(o.bank[0])
     source = k.fault[b.instance[i].kind].source
-    find_effect(x, b, address(b.instance[i]), o.gain)
+    find_effect(x, b, address(b.instance[i]), 1.0, o.gain)
     for j in range(b.n):
         h = address(b.instance[j])
         if k.fault[h.kind].source == source and h.p > UNLIKELY:
-            find_effect(x, b, h, b.work)
+            find_effect(x, b, h, 1.0, b.work)
             for e in range(N):
                 b.work[e] -= o.gain[e]
             extend(x, b, h, 1.0)
@@ -193,15 +188,18 @@ def spread(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
             extend(x, b, h, -1.0)
 
 
-def find_effect(x: State, b: Bank, h: Instance, out: Vector) -> None:
-    """Write what a fault of its mean does to each error state, with those that will hold it."""
+def find_effect(x: State, b: Bank, h: Instance, held: float, out: Vector) -> None:
+    """Write what a fault of its mean does to each error state, with those that will hold it.
+
+    An offset that is held beside the state counts as such a state where ``held`` is 1.
+    """
     extend(x, b, h, 1.0)
-    open_offset(x, h, 1.0)
+    open_offset(x, h, held)
     for e in range(N):
         out[e] = 0.0
         for c in range(h.rows):
             out[e] += h.U[c][e] * h.b[c]
-    open_offset(x, h, -1.0)
+    open_offset(x, h, -held)
     extend(x, b, h, -1.0)
 
 
@@ -318,7 +316,7 @@ def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
     """Let a slide go on by a rate that was found; one that ends has the same against it."""
     b.drift[axis] = b.before[axis] + rate
     b.drift_var[axis] = var
-    if b.drift[axis] * b.drift[axis] < 9.0 * var:
+    if b.drift[axis] * b.drift[axis] < THREE_SIGMA2 * var:
         b.drift[axis] = 0.0
     b.drift_t[axis] = x.t
     b.driven_t[axis] = x.t
@@ -355,10 +353,9 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
         h = address(b.instance[n])
         if h.p < UNLIKELY:
             continue
-        rows = k.fault[h.kind].rows
         for i in range(9):
             b.work[i] = 0.0
-        for c in range(rows):
+        for c in range(h.rows):
             columns.look_ahead(b, h.U[c], b.ahead[c])
             for i in range(9):
                 b.work[i] += b.ahead[c][i] * h.b[c]
@@ -369,8 +366,8 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
                 b.means[k.fault[h.kind].shows][i] += h.p * b.work[i]
             for j in range(9):
                 s = b.work[i] * b.work[j]
-                for c in range(rows):
-                    for d in range(rows):
+                for c in range(h.rows):
+                    for d in range(h.rows):
                         s += b.ahead[c][i] * h.M[c][d] * b.ahead[d][j]
                 b.spread[i][j] += h.p * s
     # a level and a vertical fault may be there at once, and are independent

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.memory.bank import Bank
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.enums import WEIGH_ACT
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -28,8 +29,6 @@ LOG_SHARE_VAR = cython.declare(cython.double, 4.0)
 """Log-normal prior: seven times more or less."""
 LARGEST_STEP = cython.declare(cython.double, 0.7)
 """Largest step of that logarithm: a window doubles the variance at most."""
-LARGEST_SQUARE = cython.declare(cython.double, 9.0)
-"""Of a window's bias, beside its variance: three sigma count, and no more."""
 HELD = cython.declare(cython.double, 1.2e9)
 """How long nothing is declared, nor good, after the noise has grown by half of that, ns: until the
 next window has shown whether that was all."""
@@ -58,14 +57,14 @@ def end_window(x: State, k: Parameters, b: Bank) -> None:
     """
     span = (x.t - b.window_t) * 1e-9
     before = b.log_share
-    if b.acts == 0.0:
+    if k.weighs_faults != WEIGH_ACT:
         b.log_share = log(x.doubt)
     elif b.window_t > NEVER and span < LONGEST_WINDOW:
         b.log_share += find_step(x, k, b, span)
         x.doubt = exp(b.log_share)
     if b.window_t > NEVER and b.log_share - before >= 0.5 * LARGEST_STEP:
         b.hold_t = x.t + HELD
-        if b.acts != 0.0 and x.proven_t < b.hold_t:
+        if k.weighs_faults == WEIGH_ACT and x.proven_t < b.hold_t:
             x.proven_t = b.hold_t
     b.window_t = x.t
     for j in range(6):
@@ -85,7 +84,7 @@ def find_step(x: State, k: Parameters, b: Bank, span: float) -> float:
         part = configured / (configured + learnt)
         M = (configured + learnt) / span
         square = b.lam[j] * b.lam[j]
-        most = LARGEST_SQUARE * (b.Lam[j] + M * b.Lam[j] * b.Lam[j])
+        most = THREE_SIGMA2 * (b.Lam[j] + M * b.Lam[j] * b.Lam[j])
         square = square if square < most else most
         # as far as the bias is known from the window
         scale = part / (1.0 + M * b.Lam[j])
