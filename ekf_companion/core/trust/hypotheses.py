@@ -56,8 +56,6 @@ BLOCK = cython.declare(cython.double, 2e9)
 """Time over which innovations of an aid are summed to see what they have in common, ns."""
 MEMORY = cython.declare(cython.double, 10.0)
 """Blocks that this is learnt over."""
-LARGEST = cython.declare(cython.double, 3.0)
-"""Largest whitened innovation that counts there, sigmas."""
 RECENT = cython.declare(cython.double, 10.0)
 """Readings over which the mean NIS of an instance is taken: five fixes of two rows or more."""
 OPEN = cython.declare(cython.double, 0.25)
@@ -118,10 +116,10 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         shape.add_direct(x, h, o, aid, b.T[i])
     if not is_weighed:
         return
-    share = 1.0 / learn_common(x, b, o, aid)
     nothing = 0.0
     for r in range(o.rows):
         nothing += o.y[r] * o.y[r]
+    share = 1.0 / learn_common(x, b, o, aid, nothing)
     nothing = cost(nothing, o.rows)
     for i in range(b.n):
         weigh_reading(k, b, i, o, aid, nothing, share)
@@ -221,10 +219,11 @@ def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float)
     return nis
 
 
-def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
+def learn_common(x: State, b: Bank, o: Observation, aid: int, nis: float) -> float:
     """Learn how many readings of an aid in a row say the same; return it, at least one.
 
     The square of their sum over their number, over blocks of two seconds: one, if they are white.
+    What is beyond the gate is no noise, and says nothing of it.
     """
     if b.count[aid] == 0.0 or x.t - b.block_t[aid] > BLOCK:
         if b.count[aid] > 1.0:
@@ -236,12 +235,10 @@ def learn_common(x: State, b: Bank, o: Observation, aid: int) -> float:
         b.block_t[aid] = x.t
         for r in range(3):
             b.sum[aid][r] = 0.0
-    b.count[aid] += 1.0
-    for r in range(o.rows):
-        s = o.y[r]
-        s = LARGEST if s > LARGEST else s
-        s = -LARGEST if s < -LARGEST else s
-        b.sum[aid][r] += s
+    if nis <= GATE * o.rows:
+        b.count[aid] += 1.0
+        for r in range(o.rows):
+            b.sum[aid][r] += o.y[r]
     return b.common[aid] if b.common[aid] > 1.0 else 1.0
 
 
