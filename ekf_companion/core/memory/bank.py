@@ -116,6 +116,8 @@ class Bank:
     """How often each kind was."""
     held: Annotated[Vector, 4]
     """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
+    natural: Annotated[Vector, 2]
+    """Variance of the slow error of position and height where nothing was declared, m^2."""
     drift: Annotated[Vector, 4]
     """Rate at which a declared slide goes on: position n e d, barometer, m/s."""
     drift_var: Annotated[Vector, 4]
@@ -163,7 +165,7 @@ class Bank:
     """What a component adds to each row of the innovation."""
     work: Annotated[Vector, N]
     before: Annotated[Vector, 4]
-    """Rates of declared slides before the last was declared, m/s."""
+    """Rates of declared slides before the last was declared, m/s; slow errors before a fix, m."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     trial: Trial

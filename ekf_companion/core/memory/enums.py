@@ -183,12 +183,16 @@ class Fault(IntEnum):
     """The fixes are later than they are taken for."""
     LEVER = 26
     """The antenna is elsewhere."""
-    SETTLE = 27
+    RECOVERY = 27
+    """Position and horizontal velocity are right again: what was declared of them has ended."""
+    RECOVERY_HEIGHT = 28
+    """Height and vertical velocity are."""
+    SETTLE = 29
     """The position settles after the first fix, from which ours began."""
-    SETTLE_HEIGHT = 28
-    ACCEL_NOISE = 29
+    SETTLE_HEIGHT = 30
+    ACCEL_NOISE = 31
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 30
+    GYRO_NOISE = 32
 
 
 class Source(IntEnum):
@@ -212,7 +216,9 @@ class Source(IntEnum):
     FALL = 13
     SETTLING = 14
     SETTLING_HEIGHT = 15
-    NOISE = 16
+    RECOVERY = 16
+    RECOVERY_HEIGHT = 17
+    NOISE = 18
 
 
 class Weigh(IntEnum):

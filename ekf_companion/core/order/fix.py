@@ -181,6 +181,8 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             return True
     fuse_position(x, k, w)
     fuse_height(x, k, w)
+    if k.weighs_faults == WEIGH_ACT:
+        repair.hold_found(x, address(o.bank[0]))
     if o.has_bank:
         repair.decide(x, k, o)
     return True
@@ -188,8 +190,11 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
 
 def widen_offsets(x: State, b: Bank) -> None:
     """Leave an offset as uncertain as a declared fault has made it, as long as that is held."""
+    b.natural[0] = x.gnss_offset_var[0]
+    b.natural[1] = x.gnss_offset_var[1]
     for i in range(3):
         level = 0 if i < 2 else 1
+        b.before[i] = x.gnss_offset[i]
         if b.held[i] != 0.0 and x.P[E_GNSS + i][E_GNSS + i] > x.gnss_offset_var[level]:
             x.gnss_offset_var[level] = x.P[E_GNSS + i][E_GNSS + i]
         square = x.gnss_vel_offset[i] * x.gnss_vel_offset[i]

@@ -113,7 +113,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])
-        shape.add_direct(x, h, o, aid, b.T[i])
+        shape.add_direct(x, b, h, o, aid, b.T[i])
     if not is_weighed:
         return
     nothing = 0.0

@@ -32,7 +32,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
     FAULT_KICK,
-    FAULT_LEVER,
+    FAULT_RECOVERY_HEIGHT,
     FAULT_POSITION_STEP,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
@@ -89,7 +89,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
             begin_settling(x, k, b)
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_LEVER)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_RECOVERY_HEIGHT)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
@@ -98,7 +98,7 @@ def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: 
     if is_due:
         b.begun_t[clock] = x.t
     for kind in range(first, last + 1):
-        if is_due or k.fault[kind].every == 0.0:
+        if (is_due or k.fault[kind].every == 0.0) and shape.can_begin(b, kind):
             begin_instance(x, k, b, kind, x.fix_dt if clock == AID_POSITION else 0.1)
 
 
@@ -129,7 +129,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
         h.M[c][c] = k.fault[kind].std * k.fault[kind].std
         for e in range(N):
             h.U[c][e] = 0.0
-    shape.begin(h)
+    shape.begin(x, b, h)
 
 
 def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -> None:
@@ -140,7 +140,7 @@ def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -
     h.mass = EVER / k.fault[kind].rate
     for c in range(3):
         b.T[i][0][c] = 0.0
-    shape.add_direct(x, h, o, AID_HEADING, b.T[i])
+    shape.add_direct(x, b, h, o, AID_HEADING, b.T[i])
     for c in range(h.rows):
         h.U[c][E_ATT + 2] = -b.T[i][0][c]
 

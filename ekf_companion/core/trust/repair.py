@@ -41,6 +41,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_RECOVERY,
+    FAULT_RECOVERY_HEIGHT,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     FAULT_VELOCITY_LAG,
@@ -148,7 +150,8 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     shows = k.fault[kind].shows
     columns.follow(x, b)
     b.declared[kind] += 1.0
-    b.failed_t[k.fault[kind].source] = x.t
+    if not is_end(kind):
+        b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h)
     find_effect(x, b, h, 0.0, o.dx)
     spread(x, k, o, i, p)
@@ -157,6 +160,8 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
 
     # What is left may fail apart; all else was about another state
     stays = i
+    if is_end(kind):  # of what was held nothing is left that this could be the opposite of
+        stays = -1
     j = b.n - 1
     while j >= 0:
         other = k.fault[b.instance[j].kind].shows
@@ -242,6 +247,11 @@ def carry(x: State, b: Bank, h: Instance) -> None:
     elif kind == FAULT_BARO_RAMP:
         hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
+    elif kind == FAULT_RECOVERY:
+        for c in range(2):
+            hold(b, c, -b.held[c])
+    elif kind == FAULT_RECOVERY_HEIGHT:
+        hold(b, 2, -b.held[2])
     elif is_taken(kind):
         b.taken_t[kind] = h.t0
         b.taken_tau[kind] = h.tau
@@ -249,6 +259,11 @@ def carry(x: State, b: Bank, h: Instance) -> None:
         for c in range(h.rows):
             b.taken[kind][c] += h.b[c]
             b.taken_var[kind][c] = h.M[c][c]
+
+
+def is_end(kind: int) -> bool:
+    """Return whether a hypothesis is that declared faults have ended."""
+    return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT
 
 
 def is_taken(kind: int) -> bool:
@@ -320,6 +335,21 @@ def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
         b.drift[axis] = 0.0
     b.drift_t[axis] = x.t
     b.driven_t[axis] = x.t
+
+
+def hold_found(x: State, b: Bank) -> None:
+    """Hold what a fix has found of a held offset, as far as no usual slow error can be so large.
+
+    That is a constant and one that passes, known only by their sum; the constant's share of what is
+    found is that of its variance.
+    """
+    for i in range(3):
+        level = 0 if i < 2 else 1
+        if b.held[i] != 0.0 and x.gnss_offset_var[level] > b.natural[level]:
+            share = 1.0 - b.natural[level] / x.gnss_offset_var[level]
+            found = share * (x.gnss_offset[i] - b.before[i])
+            x.gnss_offset[i] -= found
+            b.held[i] += found
 
 
 def drive(x: State, b: Bank, first: int, last: int) -> None:

@@ -20,6 +20,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_BARO,
     E_BG,
     E_DELAY,
+    E_GNSS_VEL,
     E_IRON,
     E_POS,
     E_VEL,
@@ -46,6 +47,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_RECOVERY,
+    FAULT_RECOVERY_HEIGHT,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     FAULT_TILT,
@@ -65,7 +68,16 @@ FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
 
-def begin(h: Instance) -> None:
+def can_begin(b: Bank, kind: int) -> bool:
+    """Return whether a fault can begin: what ends must have been declared."""
+    if kind == FAULT_RECOVERY:
+        return b.held[0] != 0.0 or b.held[1] != 0.0 or b.declared[FAULT_VELOCITY_STEP] != 0.0
+    if kind == FAULT_RECOVERY_HEIGHT:
+        return b.held[2] != 0.0 or b.declared[FAULT_CLIMB_STEP] != 0.0
+    return True
+
+
+def begin(x: State, b: Bank, h: Instance) -> None:
     """Write what a fault of the state adds to it at once: U."""
     kind = h.kind
     if kind == FAULT_ACCEL_STEP or kind == FAULT_ACCEL_NOISE:
@@ -88,6 +100,11 @@ def begin(h: Instance) -> None:
     elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
         h.U[0][E_POS + 2] = -1.0
         h.U[0][E_BARO] = -1.0
+    elif kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT:
+        h.b[0] = 1.0
+        for c in range(3):
+            if (c == 2) == (kind == FAULT_RECOVERY_HEIGHT):
+                h.U[0][E_GNSS_VEL + c] = -x.gnss_vel_offset[c]
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
@@ -115,20 +132,21 @@ def take_off(x: State, o: Observation, aid: int) -> None:
             for c in range(3):
                 b.trial.T[r][c] = 0.0
         since = (x.t - b.taken_t[kind]) * 1e-9
-        add_shape(x, kind, since, b.taken_tau[kind], b.taken_reference[kind], o, aid, b.trial.T)
+        add_shape(x, b, kind, since, b.taken_tau[kind], b.taken_reference[kind], o, aid, b.trial.T)
         for r in range(o.rows):
             for c in range(3):
                 o.z[r] -= b.trial.T[r][c] * b.taken[kind][c]
                 o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
 
 
-def add_direct(x: State, h: Instance, o: Observation, aid: int, T: Dcm) -> None:
+def add_direct(x: State, b: Bank, h: Instance, o: Observation, aid: int, T: Dcm) -> None:
     """Add to T what a fault adds to the reading itself: D."""
-    add_shape(x, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
+    add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
 
 
 def add_shape(
     x: State,
+    b: Bank,
     kind: int,
     since: float,
     tau: float,
@@ -161,6 +179,13 @@ def add_shape(
     elif kind == FAULT_SETTLE_HEIGHT:
         if aid == AID_HEIGHT:
             T[0][0] += exp(-since / tau)
+    elif kind == FAULT_RECOVERY:
+        if aid == AID_POSITION:
+            for r in range(2):
+                T[r][0] -= b.held[r]
+    elif kind == FAULT_RECOVERY_HEIGHT:
+        if aid == AID_HEIGHT:
+            T[0][0] -= b.held[2]
     elif kind == FAULT_VELOCITY_TURN:
         if aid == AID_VELOCITY:
             T[0][0] -= x.vel_n[1]
