@@ -216,9 +216,7 @@ class Source(IntEnum):
     FALL = 13
     SETTLING = 14
     SETTLING_HEIGHT = 15
-    RECOVERY = 16
-    RECOVERY_HEIGHT = 17
-    NOISE = 18
+    NOISE = 16
 
 
 class Weigh(IntEnum):

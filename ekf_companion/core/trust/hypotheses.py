@@ -282,7 +282,7 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
 def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
     """Return how much more often a source fails that has just failed: it fades in a minute."""
     failed_t = b.failed_t[k.fault[h.kind].source]
-    if failed_t <= 0.0:
+    if failed_t <= 0.0 or shape.is_end(h.kind):
         return 1.0
     return 1.0 + AGAIN * exp((failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
 

@@ -62,6 +62,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import shape
 from cython.cimports.ekf_companion.core.trust.onsets import drop
 from cython.cimports.libc.math import log
 
@@ -150,7 +151,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     shows = k.fault[kind].shows
     columns.follow(x, b)
     b.declared[kind] += 1.0
-    if not is_end(kind):
+    if not shape.is_end(kind):
         b.failed_t[k.fault[kind].source] = x.t
     carry(x, b, h)
     find_effect(x, b, h, 0.0, o.dx)
@@ -160,7 +161,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
 
     # What is left may fail apart; all else was about another state
     stays = i
-    if is_end(kind):  # of what was held nothing is left that this could be the opposite of
+    if shape.is_end(kind):  # of what was held nothing is left that this could be the opposite of
         stays = -1
     j = b.n - 1
     while j >= 0:
@@ -259,11 +260,6 @@ def carry(x: State, b: Bank, h: Instance) -> None:
         for c in range(h.rows):
             b.taken[kind][c] += h.b[c]
             b.taken_var[kind][c] = h.M[c][c]
-
-
-def is_end(kind: int) -> bool:
-    """Return whether a hypothesis is that declared faults have ended."""
-    return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT
 
 
 def is_taken(kind: int) -> bool:

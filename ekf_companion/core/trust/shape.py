@@ -68,6 +68,11 @@ FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
 
+def is_end(kind: int) -> bool:
+    """Return whether a hypothesis is that declared faults have ended."""
+    return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT
+
+
 def can_begin(b: Bank, kind: int) -> bool:
     """Return whether a fault can begin: what ends must have been declared."""
     if kind == FAULT_RECOVERY:
