@@ -107,9 +107,16 @@ def begin(x: State, b: Bank, h: Instance) -> None:
         h.U[0][E_BARO] = -1.0
     elif kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT:
         h.b[0] = 1.0
+        square = 0.0
+        known = b.natural[0 if kind == FAULT_RECOVERY else 1]
         for c in range(3):
             if (c == 2) == (kind == FAULT_RECOVERY_HEIGHT):
                 h.U[0][E_GNSS_VEL + c] = -x.gnss_vel_offset[c]
+                square += b.held[c] * b.held[c]
+                known += x.P[E_POS + c][E_POS + c]
+        # a reading that has no offset is as far from ours as ours is known
+        if square > 0.0:
+            h.M[0][0] += known / square
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
