@@ -9,7 +9,7 @@ from typing import Annotated
 from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
 from ekf_companion.core.memory.enums import AIDS, FAULTS, SOURCES, N
 
-INSTANCES = 256
+INSTANCES = 512
 """Most that are kept; the least probable goes where there is no room."""
 FOUND = 32
 """Faults that are kept to be told."""

@@ -1,6 +1,6 @@
 """Onsets: which faults may have begun when, kept in an exponential histogram.
 
-An onset is tried at each reading that may be the first to show the fault. There are two instances
+An onset is tried at each reading that may be the first to show the fault. There are three instances
 of a kind for each power of two of onsets; the two oldest of a full level become one of the next:
 the older stays, unless the younger explains more once it has paid for what it leaves open.
 
@@ -45,6 +45,9 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import score, shape
 from cython.cimports.libc.math import exp, log
 
+KEPT = cython.declare(cython.int, 3)
+"""Onsets of a level that are told apart: with two the one that explains most soon is gone before it
+does."""
 LEAST_VAR = cython.declare(cython.double, 1e-20)
 """Variance below any size that is known: rounding leaves none, which has no logarithm."""
 EXCLUDED = cython.declare(cython.double, -6.0)
@@ -178,7 +181,7 @@ def fold(b: Bank, kind: int) -> None:
                 elif second < 0 or h.t0 < b.instance[second].t0:
                     second = i
         # of the first level one is to come; of the others it has
-        if count < (2 if level == 0 else 3):
+        if count < (KEPT if level == 0 else KEPT + 1):
             return
         stays = first
         goes = second
