@@ -101,7 +101,7 @@ def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: 
     if is_due:
         b.begun_t[clock] = x.t
     for kind in range(first, last + 1):
-        if (is_due or k.fault[kind].every == 0.0) and shape.can_begin(b, kind):
+        if (is_due or k.fault[kind].every == 0.0) and shape.can_begin(x, b, kind):
             begin_instance(x, k, b, kind, x.fix_dt if clock == AID_POSITION else 0.1)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -73,13 +74,23 @@ def is_end(kind: int) -> bool:
     return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT
 
 
-def can_begin(b: Bank, kind: int) -> bool:
-    """Return whether a fault can begin: what ends must have been declared."""
+def can_begin(x: State, b: Bank, kind: int) -> bool:
+    """Return whether a fault can begin: what ends is larger than all that is not known of it."""
+    return not is_end(kind) or held_square(b, kind) > THREE_SIGMA2 * end_variance(x, b, kind)
+
+
+def held_square(b: Bank, kind: int) -> float:
+    """Return the square of what is held of a receiver's position, or height, m^2."""
     if kind == FAULT_RECOVERY:
-        return b.held[0] != 0.0 or b.held[1] != 0.0 or b.declared[FAULT_VELOCITY_STEP] != 0.0
-    if kind == FAULT_RECOVERY_HEIGHT:
-        return b.held[2] != 0.0 or b.declared[FAULT_CLIMB_STEP] != 0.0
-    return True
+        return b.held[0] * b.held[0] + b.held[1] * b.held[1]
+    return b.held[2] * b.held[2]
+
+
+def end_variance(x: State, b: Bank, kind: int) -> float:
+    """Return the variance of how far ours is from where the receiver is right again, m^2."""
+    if kind == FAULT_RECOVERY:
+        return x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] + b.natural[0]
+    return x.P[E_POS + 2][E_POS + 2] + b.natural[1]
 
 
 def begin(x: State, b: Bank, h: Instance) -> None:
@@ -107,16 +118,10 @@ def begin(x: State, b: Bank, h: Instance) -> None:
         h.U[0][E_BARO] = -1.0
     elif kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT:
         h.b[0] = 1.0
-        square = 0.0
-        known = b.natural[0 if kind == FAULT_RECOVERY else 1]
+        h.M[0][0] = end_variance(x, b, kind) / held_square(b, kind)
         for c in range(3):
             if (c == 2) == (kind == FAULT_RECOVERY_HEIGHT):
                 h.U[0][E_GNSS_VEL + c] = -x.gnss_vel_offset[c]
-                square += b.held[c] * b.held[c]
-                known += x.P[E_POS + c][E_POS + c]
-        # a reading that has no offset is as far from ours as ours is known
-        if square > 0.0:
-            h.M[0][0] += known / square
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
