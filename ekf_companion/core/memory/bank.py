@@ -77,6 +77,8 @@ class Trial:
     M: Annotated[Vector, 3, 3]
     gain: Annotated[Vector, 3]
     """M T'."""
+    nis: Annotated[Vector, 2]
+    """Of the level rows, of the vertical ones."""
     spread: Real
     """Sum of the logarithms of what the fault adds to the variances of the rows."""
 
@@ -166,6 +168,8 @@ class Bank:
     work: Annotated[Vector, N]
     before: Annotated[Vector, 4]
     """Rates of declared slides before the last was declared, m/s; slow errors before a fix, m."""
+    rows: Annotated[Vector, 2]
+    """Level and vertical rows of the observation that is being judged."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     trial: Trial

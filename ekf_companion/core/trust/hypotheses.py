@@ -17,7 +17,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
-from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance, Trial
+from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
@@ -27,8 +27,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
+    E_POS,
+    E_VEL,
     FAULT_GYRO_NOISE,
     MODE_NAVIGATE,
+    SHOWS_ALL,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
     SOURCE_BARO,
@@ -40,11 +43,12 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SOURCE_VELOCITY,
     SOURCES,
 )
+from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import onsets, score, shape
-from cython.cimports.libc.math import exp, log
+from cython.cimports.libc.math import exp, fabs, log
 
 GATE = cython.declare(cython.double, 9.0)
 """NIS a row beyond which a reading teaches an instance less, as if its noise had been larger."""
@@ -116,20 +120,25 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         shape.add_direct(x, b, h, o, aid, b.T[i])
     if not is_weighed:
         return
-    nothing = 0.0
+    for g in range(2):
+        b.rows[g] = 0.0
+        b.work[g] = 0.0
     for r in range(o.rows):
-        nothing += o.y[r] * o.y[r]
-    share = 1.0 / learn_common(x, b, o, aid, nothing)
-    nothing = cost(nothing, o.rows)
+        g = 1 if is_vertical(o, r) else 0
+        b.rows[g] += 1.0
+        b.work[g] += o.y[r] * o.y[r]
+    share = 1.0 / learn_common(x, b, o, aid, b.work[0] + b.work[1])
+    b.work[0] = cost(b.work[0], b.rows[0])
+    b.work[1] = cost(b.work[1], b.rows[1])
     for i in range(b.n):
-        weigh_reading(k, b, i, o, aid, nothing, share)
+        weigh_reading(k, b, i, o, aid, b.work, share)
     onsets.thin(x, b)
     find_posterior(x, k, b)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         shape.keep_field_slope(b, o)
 
 
-def cost(nis: float, rows: int) -> float:
+def cost(nis: float, rows: float) -> float:
     """Return what a NIS costs, in its own unit, where the reading may be an outlier as well."""
     most = OUTLIER + OUTLIER_ROW * rows
     least = nis if nis < most else most
@@ -137,19 +146,29 @@ def cost(nis: float, rows: int) -> float:
 
 
 def weigh_reading(
-    k: Parameters, b: Bank, i: int, o: Observation, aid: int, nothing: float, share: float
+    k: Parameters, b: Bank, i: int, o: Observation, aid: int, nothing: Vector, share: float
 ) -> None:
-    """Add what a reading says to the evidence of an instance, and learn its b from it."""
+    """Add what a reading says to the evidence of an instance, and learn its b from it.
+
+    A level and a vertical fault may be there at once: what both explain counts for one of them, by
+    the rows that are its own.
+    """
     h = address(b.instance[i])
     to = address(b.trial)
     rows = h.rows
     shown = 0.0
+    own = 0.0
+    shows = k.fault[h.kind].shows
     for r in range(o.rows):
+        is_own = cython.declare(
+            cython.bint, shows == SHOWS_ALL or is_vertical(o, r) == (shows == SHOWS_VERTICAL)
+        )
+        own += 1.0 if is_own else 0.0
         for c in range(rows):
             s = b.T[i][r][c]
             for j in range(r):
                 s -= o.L[r][j] * to.T[j][c]
-            to.T[r][c] = s / o.L[r][r]
+            to.T[r][c] = s / o.L[r][r] if is_own else 0.0
             shown += to.T[r][c] * to.T[r][c]
     if shown == 0.0:
         return
@@ -157,19 +176,31 @@ def weigh_reading(
         if aid != AID_HEADING:
             score.add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
         return
-    nis = try_reading(h, to, o, rows, 1.0)
-    if nis > GATE * o.rows and h.is_wide == 0.0 and is_open(k, h):
+    nis = try_reading(b, h, o, shows, 1.0)
+    if nis > GATE * own and h.is_wide == 0.0 and is_open(k, h):
         widen(k, h)
-        nis = try_reading(h, to, o, rows, 1.0)
+        nis = try_reading(b, h, o, shows, 1.0)
     h.readings += 1.0
-    h.recent += (nis / o.rows - h.recent) / (h.readings if h.readings < RECENT else RECENT)
-    h.evidence += 0.5 * share * (nothing - cost(nis, o.rows) - to.spread)
-    if nis > GATE * o.rows:
-        try_reading(h, to, o, rows, nis / (GATE * o.rows))
+    h.recent += (nis / own - h.recent) / (h.readings if h.readings < RECENT else RECENT)
+    gain = -to.spread
+    for g in range(2):
+        if b.rows[g] > 0.0 and (shows == SHOWS_ALL or g == (1 if shows == SHOWS_VERTICAL else 0)):
+            gain += nothing[g] - cost(to.nis[g], b.rows[g])
+    h.evidence += 0.5 * share * gain
+    if nis > GATE * own:
+        try_reading(b, h, o, shows, nis / (GATE * own))
     for c in range(rows):
         h.b[c] = to.b[c]
         for j in range(rows):
             h.M[c][j] = to.M[c][j]
+
+
+def is_vertical(o: Observation, r: int) -> bool:
+    """Return whether a row observes height or vertical velocity, rather than what is level."""
+    level = 0.0
+    for i in range(2):
+        level += fabs(o.H[r][E_POS + i]) + fabs(o.H[r][E_VEL + i])
+    return fabs(o.H[r][E_POS + 2]) + fabs(o.H[r][E_VEL + 2]) > level
 
 
 def is_open(k: Parameters, h: Instance) -> bool:
@@ -193,15 +224,21 @@ def widen(k: Parameters, h: Instance) -> None:
             h.M[c][j] *= ratio * ratio
 
 
-def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float) -> float:
-    """Learn b from a whitened reading of that variance; return its NIS."""
-    nis = 0.0
+def try_reading(b: Bank, h: Instance, o: Observation, shows: int, noise: float) -> float:
+    """Learn b from the own rows of a whitened reading of that variance; return their NIS."""
+    to = address(b.trial)
+    rows = h.rows
     to.spread = 0.0
+    to.nis[0] = 0.0
+    to.nis[1] = 0.0
     for c in range(rows):
         to.b[c] = h.b[c]
         for j in range(rows):
             to.M[c][j] = h.M[c][j]
     for r in range(o.rows):
+        group = 1 if is_vertical(o, r) else 0
+        if shows != SHOWS_ALL and group != (1 if shows == SHOWS_VERTICAL else 0):
+            continue
         e = o.y[r]
         s = noise
         for c in range(rows):
@@ -210,13 +247,13 @@ def try_reading(h: Instance, to: Trial, o: Observation, rows: int, noise: float)
                 to.gain[c] += to.M[c][j] * to.T[r][j]
             e -= to.T[r][c] * to.b[c]
             s += to.T[r][c] * to.gain[c]
-        nis += e * e / s
+        to.nis[group] += e * e / s
         to.spread += log(s)
         for c in range(rows):
             to.b[c] += to.gain[c] * e / s
             for j in range(rows):
                 to.M[c][j] -= to.gain[c] * to.gain[j] / s
-    return nis
+    return to.nis[0] + to.nis[1]
 
 
 def learn_common(x: State, b: Bank, o: Observation, aid: int, nis: float) -> float:
