@@ -118,6 +118,8 @@ class Bank:
     """How often each kind was."""
     held: Annotated[Vector, 4]
     """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
+    restless: Annotated[Vector, 3]
+    """Square of what was declared of a source that had just failed: position n e d, m^2."""
     natural: Annotated[Vector, 2]
     """Variance of the slow error of position and height where nothing was declared, m^2."""
     drift: Annotated[Vector, 4]
@@ -168,6 +170,8 @@ class Bank:
     work: Annotated[Vector, N]
     before: Annotated[Vector, 4]
     """Rates of declared slides before the last was declared, m/s; slow errors before a fix, m."""
+    was_held: Annotated[Vector, 4]
+    """What was held then, m."""
     rows: Annotated[Vector, 2]
     """Level and vertical rows of the observation that is being judged."""
     ahead: Annotated[Vector, 3, 9]

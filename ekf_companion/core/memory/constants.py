@@ -13,5 +13,7 @@ UNKNOWN_ANGLE = 3.29
 """Variance of an angle that may be any: pi^2 / 3, rad^2."""
 THREE_SIGMA2 = 9.0
 """Square of three sigma: what is larger is hardly of that variance."""
+FADES = 60.0
+"""Time constant with which it is forgotten that a source has failed, s."""
 SAME_CAUSE = 2.0
 """Time within which the refusals of two measurements of a receiver have one cause, s."""

@@ -18,7 +18,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -67,9 +67,7 @@ OPEN = cython.declare(cython.double, 0.25)
 LN_TEN = cython.declare(cython.double, 2.302585092994046)
 """What it costs to be one of ten."""
 AGAIN = cython.declare(cython.double, 100.0)
-"""How much more often a source fails that has just failed: a receiver among houses."""
-FADES = cython.declare(cython.double, 60e9)
-"""Time constant with which that passes, ns."""
+"""How much more often a source fails that has just failed, a receiver among houses."""
 EVEN = cython.declare(cython.double, 0.5)
 """Probability of its fault from which on a source is not fused."""
 ANY = cython.declare(cython.double, 1e8)
@@ -321,7 +319,7 @@ def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
     failed_t = b.failed_t[k.fault[h.kind].source]
     if failed_t <= 0.0 or shape.is_end(h.kind):
         return 1.0
-    return 1.0 + AGAIN * exp((failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
+    return 1.0 + AGAIN * exp(1e-9 * (failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
 
 
 def find_posterior(x: State, k: Parameters, b: Bank) -> None:

@@ -17,7 +17,7 @@ from cython.cimports.ekf_companion.core.filter.columns import turn
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
 from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_BARO,
     E_DELAY,
@@ -64,7 +64,7 @@ from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import shape
 from cython.cimports.ekf_companion.core.trust.onsets import drop
-from cython.cimports.libc.math import log
+from cython.cimports.libc.math import exp, log
 
 SURE = cython.declare(cython.double, 0.99)
 """Probability of a source beyond which it is beyond doubt."""
@@ -151,9 +151,10 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     shows = k.fault[kind].shows
     columns.follow(x, b)
     b.declared[kind] += 1.0
+    carry(x, b, h)
+    note_restless(x, b, b.failed_t[k.fault[kind].source])
     if not shape.is_end(kind):
         b.failed_t[k.fault[kind].source] = x.t
-    carry(x, b, h)
     find_effect(x, b, h, 0.0, o.dx)
     spread(x, k, o, i, p)
     inject(x, o)
@@ -228,6 +229,7 @@ def carry(x: State, b: Bank, h: Instance) -> None:
     since = (x.t - h.t0) * 1e-9
     for axis in range(4):
         b.before[axis] = b.drift[axis]
+        b.was_held[axis] = b.held[axis]
     if kind == FAULT_POSITION_STEP:
         for c in range(2):
             hold(b, c, h.b[c])
@@ -260,6 +262,18 @@ def carry(x: State, b: Bank, h: Instance) -> None:
         for c in range(h.rows):
             b.taken[kind][c] += h.b[c]
             b.taken_var[kind][c] = h.M[c][c]
+
+
+def note_restless(x: State, b: Bank, failed_t: float) -> None:
+    """Note what was added to the offset of a source that had just failed.
+
+    No constant describes it then, and the next fault will not be the last; what only takes back
+    another one is none.
+    """
+    for axis in range(3):
+        if failed_t > 0.0 and b.held[axis] * b.held[axis] > b.was_held[axis] * b.was_held[axis]:
+            added = b.held[axis] - b.was_held[axis]
+            b.restless[axis] += added * added * exp(1e-9 * (failed_t - x.t) / FADES)
 
 
 def is_taken(kind: int) -> bool:
@@ -349,8 +363,12 @@ def hold_found(x: State, b: Bank) -> None:
 
 
 def drive(x: State, b: Bank, first: int, last: int) -> None:
-    """Move the offsets of declared slides on to now."""
+    """Move the offsets of declared slides on to now, and let those walk that are restless."""
     for axis in range(first, last + 1):
+        if axis < 3 and b.restless[axis] > 0.0:
+            if b.held[axis] != 0.0:
+                add_variance(x, E_GNSS + axis, b.restless[axis] * x.fix_dt / FADES)
+            b.restless[axis] *= exp(-x.fix_dt / FADES)
         if b.drift[axis] != 0.0:
             dt = (x.t - b.driven_t[axis]) * 1e-9
             before = (b.driven_t[axis] - b.drift_t[axis]) * 1e-9
