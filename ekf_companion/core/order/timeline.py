@@ -800,9 +800,6 @@ class Timeline:
                 held.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
         return held
 
-    def bank_numbers(self) -> np.ndarray:
-        return np.array(self.bank_table[0])
-
     def found(self) -> list[tuple[int, int, int, tuple[float, float, float]]]:
         """Return the faults that were beyond doubt: kind, onset, until when (stamps, ns), size."""
         told = []

@@ -3,8 +3,8 @@
 An instance is one kind of fault that began at one time: a constant b, normal with the prior of its
 kind. If it is the right one, an innovation is ``r = T b + noise`` with ``T = H U + D``, of
 covariance ``S + T M T'``; so each reading adds to its evidence beside that of no fault, and says
-more of b. An onset is tried at each reading, and kept in an exponential histogram: three instances of
-a kind for each power of two of onsets, the two oldest of a full level become one of the next.
+more of b. An onset is tried at each reading, and kept in an exponential histogram: three instances
+of a kind for each power of two of onsets, the two oldest of a full level become one of the next.
 
 Each has its own gate: 80 m are an outlier where nothing is wrong, and none where a step began. An
 outlier costs a reading no more than that it may be one of 200, a hundred times wider.
