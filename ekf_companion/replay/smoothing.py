@@ -68,6 +68,7 @@ class Smoothing(Pipeline):
         self._final = Spool(ROW, in_memory)
         self._results = Spool(1 + OUT, in_memory)
         self._blocks = Spool(BLOCK, in_memory)
+        self._banks = Spool(len(self._smoother.bank()), in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
         self._clock = -1
@@ -79,7 +80,7 @@ class Smoothing(Pipeline):
 
     def __exit__(self, *_: object) -> None:
         """Delete the rows, results and states stored."""
-        for spool in (self._final, self._results, self._blocks):
+        for spool in (self._final, self._results, self._blocks, self._banks):
             spool.__exit__()
 
     def run(self, events: Events) -> Table:
@@ -105,6 +106,7 @@ class Smoothing(Pipeline):
             is_last = after is None or after.clock != stretch.clock
             rows = self._final.read(stretch.first, stretch.count)
             block = self._blocks.read(stretch.number, 1)[0]
+            self._smoother.set_bank(self._banks.read(stretch.number, 1)[0])
             blocks = self._smoother.smooth(block, rows, None if is_last else later)
             later, after = blocks[0], stretch
             self._store_results(stretch, rows, blocks[1:])
@@ -168,6 +170,7 @@ class Smoothing(Pipeline):
         )
         self._final.append(rows)
         self._blocks.append(self._block[None])
+        self._banks.append(self._smoother.bank()[None])
         self._block = self._smoother.advance(self._block, rows)
 
 

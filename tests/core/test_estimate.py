@@ -50,7 +50,7 @@ def parameters() -> Parameters:
 
 
 def reasons(x: State) -> Reason:
-    return Reason(load().estimate.find_reasons(x, parameters()))
+    return Reason(load().estimate.find_reasons(x, parameters(), Scratch()))
 
 
 def write(x: State, lag: float = 0.0) -> Estimate:

@@ -8,6 +8,7 @@ from cython.cimports.ekf_companion.core.filter.rotation import rotate, to_dcm, w
 from cython.cimports.ekf_companion.core.filter.slow_error import add_spread, copy_moving
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
+from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
@@ -23,6 +24,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     MODE_INIT,
     MODE_LEVEL,
     MODE_NAVIGATE,
+    REASON_AMBIGUOUS,
     REASON_ATTITUDE,
     REASON_AUTOPILOTS,
     REASON_CLIMB_ANY,
@@ -71,6 +73,9 @@ from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
 DEG = cython.declare(cython.double, 57.29577951308232)
 SLOW_STREAM = cython.declare(cython.double, 0.15)
 """Usual interval beyond which a vehicle's attitude is a guess, s."""
+FAR_APART = cython.declare(cython.double, 24.0)
+"""Variance between the fault hypotheses, of the filter's own, beyond which they say too different
+things: what is stated is then five times the sigma without them."""
 VAGUE_VAR = cython.declare(cython.double, 0.0305)
 """Variance of an angle beyond which the attitude is not well known, rad^2: 10 degrees."""
 
@@ -90,8 +95,39 @@ def find_status(x: State, reasons: int) -> int:
     return STATUS_DEGRADED if reasons else STATUS_OK
 
 
-def find_reasons(x: State, k: Parameters) -> int:
+def mix(x: State, k: Parameters, w: Scratch) -> bool:
+    """Return whether the fault hypotheses decide: then their bank holds what their mixture adds."""
+    if not w.observation.has_bank or k.weighs_faults != WEIGH_ACT or x.mode != MODE_NAVIGATE:
+        return False
+    repair.mix(x, k, address(w.observation.bank[0]))
+    return True
+
+
+def find_reasons(x: State, k: Parameters, w: Scratch) -> int:
     """Return why a state that navigates is not OK, as bits: a :class:`~.nav.state.Reason`."""
+    if mix(x, k, w):
+        return judge_spread(x, k, address(w.observation.bank[0])) | judge_state(x, k)
+    return judge_state(x, k)
+
+
+def judge_spread(x: State, k: Parameters, b: Bank) -> int:
+    """Return the reasons that follow from how far the fault hypotheses are apart."""
+    reasons = cython.declare(cython.int, 0)
+    var = x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1]
+    apart = b.spread[E_POS][E_POS] + b.spread[E_POS + 1][E_POS + 1]
+    if not var + apart <= k.limit_pos * k.limit_pos:
+        reasons |= REASON_UNCERTAIN
+    down_var = x.P[E_POS + 2][E_POS + 2]
+    if apart > FAR_APART * var or b.spread[E_POS + 2][E_POS + 2] > FAR_APART * down_var:
+        reasons |= REASON_AMBIGUOUS
+    for e in range(E_ATT, E_ATT + 3):
+        if x.P[e][e] + b.spread[e][e] > VAGUE_VAR:
+            reasons |= REASON_ATTITUDE
+    return reasons
+
+
+def judge_state(x: State, k: Parameters) -> int:
+    """Return the reasons that follow from the state alone."""
     reasons = cython.declare(cython.int, 0)
     if x.mode != MODE_NAVIGATE:
         return reasons
@@ -166,14 +202,13 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     What is not known yet is NaN.
     """
     m = address(w.motion)
-    reasons = find_reasons(x, k)
+    reasons = find_reasons(x, k, w)
     status = find_status(x, reasons)
     copy_nominal(y, x)
     y.origin = x.origin
     copy_moving(y, x)
-    if k.weighs_faults == WEIGH_ACT and x.mode == MODE_NAVIGATE:
+    if mix(x, k, w):
         b = address(w.observation.bank[0])
-        repair.mix(x, k, b)
         add_spread(y, b)
         rotate(y.q_nb, b.mean[0], b.mean[1], b.mean[2])
         for i in range(3):
