@@ -22,6 +22,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -294,7 +295,8 @@ def _bank(data: bytes) -> Array:
         return none
     numbers = np.zeros(BANK)
     numbers[: len(found)] = found
-    bank = as_banks(numbers[None])[0]
+    banks: Any = as_banks(numbers[None])
+    bank = banks[0]
     if (
         not 0 <= bank.n <= INSTANCES
         or bank_size(bank) != len(found)

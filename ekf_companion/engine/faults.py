@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -116,6 +116,20 @@ class FoundFault(NamedTuple):
         begin, end = (1e-9 * (now_ns - t) for t in (self.onset_ns, self.until_ns))
         return f"{self.size_words[0]}, {begin:.0f} to {end:.0f} s ago"
 
+    def to_dict(self, first_ns: int) -> dict[str, Any]:
+        """Return it for JSON, in the unit of its kind, with times in s, counted from a stamp."""
+        rows = FAULTS[self.kind].rows
+        return {
+            "source": self.source.name.lower(),
+            "kind": self.kind.name.lower(),
+            "words": self.size_words[0],
+            "size": list(self.size[:rows]),
+            "std": list(self.std[:rows]),
+            "from_s": (self.onset_ns - first_ns) * 1e-9,
+            "to_s": (self.until_ns - first_ns) * 1e-9,
+            "evidence": self.evidence,
+        }
+
 
 class FaultEvidence(NamedTuple):
     """How probable it was over time that each source was wrong."""
@@ -127,6 +141,11 @@ class FaultEvidence(NamedTuple):
     vertical may be there at once."""
     protection: Array
     """Horizontal and vertical protection level, m, shape (n, 2); NaN: none."""
+
+
+NO_EVIDENCE = FaultEvidence(
+    np.zeros(0, dtype=np.int64), np.zeros((0, len(Source))), np.zeros((0, 2))
+)
 
 
 def by_source(probability: Array) -> dict[str, float]:

@@ -162,7 +162,10 @@ class Pipeline:
 
     def found_faults(self) -> list[FoundFault]:
         """Return the faults that were beyond doubt so far; none without ``weigh_faults``."""
-        return [FoundFault(Fault(kind), *rest) for kind, *rest in self._timeline.found()]
+        return [
+            FoundFault(Fault(kind), onset, until, size, std, evidence)
+            for kind, onset, until, size, std, evidence in self._timeline.found()
+        ]
 
     def fault_evidence(self) -> FaultEvidence:
         """Return how probable each source's fault was over time; empty without ``weigh_faults``."""

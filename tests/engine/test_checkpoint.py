@@ -362,7 +362,7 @@ def test_fault_hypotheses_go_on_to_the_bit(mode, cut):
     after.run(FAULTY.take(np.arange(whole_cut(cut), len(FAULTY))))
     assert after._timeline.hypotheses() == whole._timeline.hypotheses()
     assert after.found_faults() == whole.found_faults()
-    assert [Fault.BARO_STEP] == [one.kind for one in whole.found_faults()]
+    assert [one.kind for one in whole.found_faults()] == [Fault.BARO_STEP]
     a, b = after.values(), whole.values()
     assert np.delete(a, RESETS).tobytes() == np.delete(b, RESETS).tobytes()
 
