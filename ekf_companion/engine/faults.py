@@ -62,7 +62,7 @@ SOURCES: Mapping[Source, tuple[str, str]] = {
     Source.HEADING: ("heading", "heading source"),
     Source.ACCEL: ("motion", "accelerometer"),
     Source.GYRO: ("motion", "gyro"),
-    Source.STATE: ("motion", "our own attitude or velocity"),
+    Source.STATE: ("motion", "our own state"),
     Source.DELAY: ("motion", "delay of the fixes"),
     Source.LEVER: ("motion", "place of the antenna"),
 }
@@ -73,6 +73,12 @@ SHARE = 0.1
 """Share of that from which on a source is named with others."""
 MOST_NAMES = 3
 """Sources that are named at once: more say no more than that nobody knows."""
+OPENED = (
+    *(Source.POSITION, Source.VELOCITY, Source.CLIMB),
+    *(Source.HEIGHT, Source.FALL, Source.BARO),
+)
+"""Sources whose readings correct nothing while they are suspected, with ``weigh_faults: act``; so
+decides ``hypotheses.open_rows``."""
 
 
 class FoundFault(NamedTuple):
@@ -111,9 +117,11 @@ class FoundFault(NamedTuple):
         begin, end = (1e-9 * (t - first_ns) for t in (self.onset_ns, self.until_ns))
         return f"{self.size_words[0]}, {begin:.0f} to {end:.0f} s"
 
-    def words_ago(self, now_ns: int) -> str:
-        """Return what it is, how large, and how long ago it began and was so last."""
+    def words_ago(self, now_ns: int, *, repaired: bool = False) -> str:
+        """Return what it is, how large, and how long ago it began and was so last, or repaired."""
         begin, end = (1e-9 * (now_ns - t) for t in (self.onset_ns, self.until_ns))
+        if repaired:
+            return f"{self.size_words[0]}, since {begin:.0f} s, repaired {end:.0f} s ago"
         return f"{self.size_words[0]}, {begin:.0f} to {end:.0f} s ago"
 
     def to_dict(self, first_ns: int) -> dict[str, Any]:
@@ -157,18 +165,22 @@ def by_source(probability: Array) -> dict[str, float]:
     }
 
 
-def suspicions(probability: Array) -> tuple[str, ...]:
+def suspicions(probability: Array, *, decides: bool = False) -> tuple[str, ...]:
     """Return what is suspected, in words, by what a fault of it spoils.
 
     As ``height: GNSS height or barometer (0.93)``, with the probability that any of these is wrong.
+    Where the hypotheses decide, a source that is more likely wrong than right is not used.
     """
-    spoilt: dict[str, list[tuple[float, str]]] = {}
-    for source, (what, name) in SOURCES.items():
-        spoilt.setdefault(what, []).append((float(probability[source]), name))
+    spoilt: dict[str, list[Source]] = {}
+    for source, (what, _) in SOURCES.items():
+        spoilt.setdefault(what, []).append(source)
     found = []
     for what, sources in spoilt.items():
-        total = sum(p for p, _ in sources)
+        total = float(probability[sources].sum())
         if total > EVEN:
-            named = [name for p, name in sorted(sources, reverse=True) if p >= SHARE * total]
-            found.append(f"{what}: {' or '.join(named[:MOST_NAMES])} ({total:.2f})")
+            ranked = sorted(sources, key=lambda one: -probability[one])
+            named = [SOURCES[one][1] for one in ranked if probability[one] >= SHARE * total]
+            is_opened = decides and ranked[0] in OPENED and probability[ranked[0]] > EVEN
+            words = f"{what}: {' or '.join(named[:MOST_NAMES])} ({total:.2f})"
+            found.append(f"{words}, {named[0]} not used" if is_opened else words)
     return tuple(found)

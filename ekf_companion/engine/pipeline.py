@@ -65,6 +65,7 @@ class Pipeline:
         """``px4``, ``ardupilot`` or ``unknown``."""
         self._gnss_delay = gnss_delay
         self._slow_time = settings.gnss.slow_time
+        self._decides = settings.weigh_faults == "act"
         k, late = parameters(settings, family, gnss_delay), delays_ns(settings, family, gnss_delay)
         self._late = late
         self._fingerprint = settings_fingerprint(k, late)
@@ -216,7 +217,7 @@ class Pipeline:
         x, now = as_state(self._timeline.block()), as_estimate(self.values())
         arrivals = self._timeline.arrivals
         probability, faults = self._timeline.suspected(), self.found_faults()
-        suspected = suspicions(probability)
+        suspected = suspicions(probability, decides=self._decides)
         levels = self._timeline.protection()
         return Health(
             status=Status(int(now.status)),
@@ -251,10 +252,10 @@ class Pipeline:
             std_vertical=now.std_pos[2],
             is_position_autopilots=bool(x.fix_t > x.raw_fix_t),
             start=self.start,
-            reasons=in_words(x, Reason(self._timeline.reasons), suspected),
+            reasons=in_words(x, Reason(self._timeline.reasons)),
             faults=by_source(probability),
             suspected=suspected,
-            found=tuple(one.words_ago(self.stamp_ns) for one in faults),
+            found=tuple(one.words_ago(self.stamp_ns, repaired=self._decides) for one in faults),
             found_counts=Counter(one.source.name.lower() for one in faults),
             protection_horizontal=levels[0],
             protection_vertical=levels[1],

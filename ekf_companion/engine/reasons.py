@@ -7,7 +7,6 @@ at most: a pilot's text has 50, with its sender and the status before them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from ekf_companion.core.memory.enums import Aid, Azimuth
 from ekf_companion.core.memory.state import State
@@ -19,16 +18,9 @@ LONGEST_WORDS = 29
 _HEADINGS = {int(Azimuth.ANTENNA): "antenna heading", int(Azimuth.OTHER): "other heading"}
 
 
-def in_words(x: State, reasons: Reason, suspected: Sequence[str] = ()) -> dict[Reason, str]:
-    """Return the words of each reason that holds, the foremost first.
-
-    ``suspected`` is what is more likely wrong than right, as ``faults.suspicions`` returns it.
-    """
-    words = {reason: _words(x, reason) for reason in ORDER if reason in reasons}
-    if Reason.AMBIGUOUS in words and suspected:
-        spoilt, _, _ = suspected[0].partition(":")
-        words[Reason.AMBIGUOUS] = f"sources of {spoilt} disagree"
-    return words
+def in_words(x: State, reasons: Reason) -> dict[Reason, str]:
+    """Return the words of each reason that holds, the foremost first."""
+    return {reason: _words(x, reason) for reason in ORDER if reason in reasons}
 
 
 def _words(x: State, reason: Reason) -> str:

@@ -16,7 +16,6 @@ from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import Reason, Status, Table
 
 WORDS: Mapping[Reason, str] = {
-    Reason.AMBIGUOUS: "sources disagree",
     Reason.POSITION_REFUSED: "GNSS position refused",
     Reason.SLIDE: "GNSS position slides",
     Reason.POSITION_OFF: "GNSS position off to one side",

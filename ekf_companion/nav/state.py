@@ -90,9 +90,6 @@ class Reason(IntFlag):
     """The compass, whose heading is in use, is refused."""
     COMPASS_MISSING = 1 << 23
     """No heading of it is fused, and none was refused."""
-    AMBIGUOUS = 1 << 24
-    """What began to be wrong is not known yet, and by one explanation the position is far from
-    where it is by another."""
 
 
 GEODETIC = ("lat_deg", "lon_deg", "alt_m")

@@ -233,10 +233,12 @@ def test_a_compass_that_is_refused_is_on_the_page_and_in_its_events(tmp_path, po
 def test_a_fault_that_was_found_is_on_the_page(tmp_path, ports):
     jump = "baro-step:start=14,duration=600,height=20"
     flight = flying(f"udpout:127.0.0.1:{ports[0]}", jump)
-    with chromium(tmp_path) as tab, flight, start(tmp_path, ports, more="weigh_faults: report\n"):
+    weighed = start(tmp_path, ports, more="weigh_faults: report\n")
+    with chromium(tmp_path) as tab, flight, weighed as daemon:
+        daemon.wait_for("Status on")
         tab.open(f"http://127.0.0.1:{ports[1]}/")
         for words in ("height: barometer (", "baro 100 %", "barometer 2"):
-            tab.wait_for(f"document.querySelector('#facts').textContent.includes('{words}')")
+            tab.wait_for(f"document.querySelector('#facts')?.textContent.includes('{words}')")
         assert tab.errors == []
 
 

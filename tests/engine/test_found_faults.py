@@ -54,12 +54,25 @@ def test_every_source_has_its_words():
         ),
         (
             {"accel": 0.2, "gyro": 0.2, "state": 0.21, "delay": 0.19},
-            ("motion: our own attitude or velocity or gyro or accelerometer (0.80)",),
+            ("motion: our own state or accelerometer or gyro (0.80)",),
         ),
     ],
 )
 def test_what_is_more_likely_wrong_than_right_is_suspected(named, words):
     assert suspicions(probabilities(**named)) == words
+
+
+@pytest.mark.parametrize(
+    ("named", "words"),
+    [
+        ({"baro": 0.93}, "height: barometer (0.93), barometer not used"),
+        ({"height": 0.45, "baro": 0.44}, "height: GNSS height or barometer (0.89)"),
+        ({"accel": 0.93}, "motion: accelerometer (0.93)"),
+        ({"drag": 0.6}, "position: GNSS position with its velocity (0.60)"),
+    ],
+)
+def test_what_is_not_used_meanwhile_is_said_where_the_hypotheses_decide(named, words):
+    assert suspicions(probabilities(**named), decides=True) == (words,)
 
 
 def test_a_source_that_is_hardly_wrong_is_left_out():
@@ -79,6 +92,7 @@ def test_each_fault_says_its_size_and_a_sigma_in_the_same_unit(kind):
     assert float(sigma) == pytest.approx(scale * 0.05, abs=0.51)
     assert one.words(5 * 10**9) == f"{words}, 5 to 15 s"
     assert one.words_ago(3 * 10**10) == f"{words}, 20 to 10 s ago"
+    assert one.words_ago(3 * 10**10, repaired=True) == f"{words}, since 20 s, repaired 10 s ago"
     found = one.to_dict(0)
     assert (found["from_s"], found["to_s"], len(found["size"])) == (10.0, 20.0, rows)
 

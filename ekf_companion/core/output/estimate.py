@@ -24,7 +24,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     MODE_INIT,
     MODE_LEVEL,
     MODE_NAVIGATE,
-    REASON_AMBIGUOUS,
     REASON_ATTITUDE,
     REASON_AUTOPILOTS,
     REASON_CLIMB_ANY,
@@ -73,9 +72,6 @@ from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
 DEG = cython.declare(cython.double, 57.29577951308232)
 SLOW_STREAM = cython.declare(cython.double, 0.15)
 """Usual interval beyond which a vehicle's attitude is a guess, s."""
-FAR_APART = cython.declare(cython.double, 24.0)
-"""Variance between the fault hypotheses, of the filter's own, beyond which they say too different
-things: what is stated is then five times the sigma without them."""
 VAGUE_VAR = cython.declare(cython.double, 0.0305)
 """Variance of an angle beyond which the attitude is not well known, rad^2: 10 degrees."""
 
@@ -111,15 +107,13 @@ def find_reasons(x: State, k: Parameters, w: Scratch) -> int:
 
 
 def judge_spread(x: State, k: Parameters, b: Bank) -> int:
-    """Return the reasons that follow from how far the fault hypotheses are apart."""
+    """Return the reasons that follow from what is stated, with how far the hypotheses are apart."""
     reasons = cython.declare(cython.int, 0)
-    var = x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1]
-    apart = b.spread[E_POS][E_POS] + b.spread[E_POS + 1][E_POS + 1]
-    if not var + apart <= k.limit_pos * k.limit_pos:
+    var = 0.0
+    for e in range(E_POS, E_POS + 2):
+        var += x.P[e][e] + b.spread[e][e]
+    if not var <= k.limit_pos * k.limit_pos:
         reasons |= REASON_UNCERTAIN
-    down_var = x.P[E_POS + 2][E_POS + 2]
-    if apart > FAR_APART * var or b.spread[E_POS + 2][E_POS + 2] > FAR_APART * down_var:
-        reasons |= REASON_AMBIGUOUS
     for e in range(E_ATT, E_ATT + 3):
         if x.P[e][e] + b.spread[e][e] > VAGUE_VAR:
             reasons |= REASON_ATTITUDE
