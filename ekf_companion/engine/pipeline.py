@@ -216,7 +216,9 @@ class Pipeline:
         """Return the filter's own account of itself."""
         x, now = as_state(self._timeline.block()), as_estimate(self.values())
         arrivals = self._timeline.arrivals
-        probability, faults = self._timeline.suspected(), self.found_faults()
+        # those of a clock that has begun anew since are of no time of this one
+        faults = [one for one in self.found_faults() if one.until_ns <= self.stamp_ns]
+        probability = self._timeline.suspected()
         suspected = suspicions(probability, decides=self._decides)
         levels = self._timeline.protection()
         return Health(

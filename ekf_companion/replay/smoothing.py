@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_companion.core.memory.enums import Mode
+from ekf_companion.core.memory.overlay import as_state
 from ekf_companion.core.memory.scratch import OUT, ROW, Event
 from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.rts import Smoother
@@ -134,6 +136,8 @@ class Smoothing(Pipeline):
             if clock != self._clock:
                 self._cut(is_over=True)
                 self._clock, self._epoch, self._block = clock, epoch, start
+                if as_state(start).mode == Mode.INIT:  # not a clock that was set
+                    self._smoother.set_bank(np.zeros_like(self._smoother.bank()))
             self._waiting.append(rows)
             if sum(map(len, self._waiting)) >= STRETCH:
                 self._cut(is_over=False)

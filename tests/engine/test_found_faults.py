@@ -141,3 +141,39 @@ def test_without_being_asked_nothing_is_said(mode):
     assert (health.found, health.found_counts) == ((), {})
     assert (len(one.fault_evidence().t_ns) > 0) == (mode == "report")
     assert (health.faults == {}) == (mode == "off")
+
+
+@pytest.mark.parametrize("gap", [1.0, 4.0])
+@pytest.mark.parametrize(
+    ("kind", "column", "size"),
+    [(Kind.GNSS, 0, 20.0 / 6.371e6), (Kind.GNSS, 2, 15.0), (Kind.GNSS, 3, 1.0)],
+    ids=["position", "height", "velocity"],
+)
+def test_a_reset_to_a_fix_leaves_out_what_is_known_to_be_wrong_with_it(kind, column, size, gap):
+    """After a gap of all samples the estimate is found anew by fixes that are still off."""
+    events, _ = flight("figure-eight", 60.0)
+    events = changed(events, between(events, BEGIN, 99.0) & (events.kind == kind), column, size)
+    settings = replace(SETTINGS, weigh_faults="act")
+    whole, parted = Pipeline(settings), Pipeline(settings)
+    whole.run(events)
+    parted.run(events.take(~between(events, 40.0, 40.0 + gap)))
+    assert parted.resets == 1
+    off = np.abs(parted.values() - whole.values())[3:9]
+    assert off[:3].max() < 1.5
+    assert off[3:].max() < 0.3
+
+
+@pytest.mark.parametrize("mode", ["report", "act"])
+def test_what_was_found_outlives_a_reboot_and_the_hypotheses_do_not(mode):
+    events, _ = flight("figure-eight", 40.0)
+    jumped = changed(events, between(events, BEGIN, 99.0) & (events.kind == Kind.BARO), 0, 8.0)
+    one = Pipeline(replace(SETTINGS, weigh_faults=mode))
+    one.run(jumped)
+    (before,) = one.found_faults()
+    one.process_row((0, int(Kind.RESTART), (0.0,) * 13))
+    assert one._timeline.hypotheses() == []
+    later, _ = flight("figure-eight", 20.0, seed=2)
+    again, fresh = one.run(later), Pipeline(replace(SETTINGS, weigh_faults=mode)).run(later)
+    assert one.found_faults() == [before]
+    assert one.health().found == ()
+    assert again.values[-1, 3:6] == pytest.approx(fresh.values[-1, 3:6], abs=1.0)

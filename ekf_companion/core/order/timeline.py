@@ -164,6 +164,7 @@ class Timeline:
         self.stretch = 0
         self.keeps = keeps_history
         self.gone: list[tuple[int, int, np.ndarray, np.ndarray]] = []
+        self.banks_before: list[tuple[int, np.ndarray]] = []
         self._clear()
 
     def _clear(self) -> None:
@@ -195,6 +196,10 @@ class Timeline:
         self._hand_over(self.cursor)
         copy_state(self.y, self.x)
         self.blocks[0, :] = 0.0
+        if self.w.observation.has_bank:
+            if self.banks[0].finds > 0:
+                self._keep_found()
+            self.bank_table[0, :] = 0.0
         if self.y.mode == enums.MODE_NAVIGATE:
             carry_over(self.x, self.y, self.k)
         self.x.resets = resets
@@ -205,6 +210,10 @@ class Timeline:
         self.lost = 0
         self._begin_stretch()
         self._clear()
+
+    def _keep_found(self) -> None:
+        """Keep what was found by a clock that begins anew, for :meth:`found`."""
+        self.banks_before.append((self.epoch_ns, np.array(self.bank_table[:1])))
 
     def _reboot(self) -> None:
         """Begin anew as the autopilot does, and count that beside the resets of other reasons."""
@@ -864,10 +873,11 @@ class Timeline:
         the log-likelihood beside that of no fault, then.
         """
         told = []
-        if self.w.observation.has_bank:
-            for i in range(self.banks[0].finds):
-                one = address(self.banks[0].found[i])
-                onset, until = int(one.onset) + self.epoch_ns, int(one.until) + self.epoch_ns
+        for epoch, table in [*self.banks_before, (self.epoch_ns, np.asarray(self.bank_table))]:
+            numbers: Table[np.float64] = table
+            for i in range(as_banks(numbers)[0].finds if self.w.observation.has_bank else 0):
+                one = address(as_banks(numbers)[0].found[i])
+                onset, until = int(one.onset) + epoch, int(one.until) + epoch
                 size = one.b[0], one.b[1], one.b[2]
                 std = sqrt(one.var[0]), sqrt(one.var[1]), sqrt(one.var[2])
                 told.append((int(one.kind), onset, until, size, std, float(one.evidence)))
