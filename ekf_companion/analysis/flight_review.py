@@ -15,6 +15,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.config.keys import KEYS, value_of
 from ekf_companion.core.settings.from_settings import delays_ns
 from ekf_companion.core.settings.settings import FilterSettings
+from ekf_companion.engine.faults import NO_EVIDENCE, FaultEvidence
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.onboard import Onboard
 from ekf_companion.logs.recording import Recording
@@ -83,6 +84,8 @@ class FlightReview:
     """Its stamps are on the clock of the estimates, that of the longest stretch."""
     settings: Mapping[str, str]
     """Settings of the estimator that are not the defaults."""
+    evidence: FaultEvidence = NO_EVIDENCE
+    """How probable each source's fault was over time; empty without ``weigh_faults``."""
     tiles: str = ""
     """Address of the tiles of a map under the track; empty: there is none."""
     tiles_credit: str = ""
@@ -171,6 +174,7 @@ def review(
         jumps_ns=tuple(table.stamp_ns[1:][np.diff(table.column("reset_count")) != 0.0].tolist()),
         onboard=_on_drawn_clock(onboard(run.log, run.autopilot), shift_ns),
         settings=changed_settings(config),
+        evidence=_evidence_on_one_clock([one.fault_evidence() for one in run.pipelines], shifts_ns),
         tiles=config.http.tiles,
         tiles_credit=config.http.tiles_credit,
         begins_ns=tuple(
@@ -224,6 +228,16 @@ def _looks_on_one_clock(looks: Sequence[Look], shifts_ns: Stamps) -> Iterator[Lo
     stretches = Stretches().add(np.array([look.t_ns for look in looks], dtype=np.int64))
     for look, stretch in zip(looks, stretches.tolist(), strict=True):
         yield replace(look, t_ns=look.t_ns + int(shifts_ns[min(stretch, len(shifts_ns) - 1)]))
+
+
+def _evidence_on_one_clock(found: Sequence[FaultEvidence], shifts_ns: Stamps) -> FaultEvidence:
+    """Return what was thought of the sources, likewise."""
+    known = [one for one in found if len(one.t_ns)]
+    if not known:
+        return NO_EVIDENCE
+    t_ns, probability, protection = (np.concatenate(parts) for parts in zip(*known, strict=True))
+    stretch = np.minimum(Stretches().add(t_ns), len(shifts_ns) - 1)
+    return FaultEvidence(t_ns + shifts_ns[stretch], probability, protection)
 
 
 def _moved(one: Trajectory, later_ns: int, lower: float) -> Trajectory:

@@ -16,8 +16,10 @@ import numpy as np
 
 from ekf_companion.analysis import map_tiles, report_tables
 from ekf_companion.analysis.flight_review import FlightReview
-from ekf_companion.analysis.gaps import parted, thinned
+from ekf_companion.analysis.gaps import GAP_NS, parted, thinned
 from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, place_legend
+from ekf_companion.analysis.status_bands import spans
+from ekf_companion.engine.faults import EVEN, SHARE, SOURCES
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.errors import part_of
 from ekf_companion.logs.recording import LATEST_S
@@ -170,6 +172,10 @@ def _tables(review: FlightReview, sheet: Sheet) -> str:
         report_tables.title(title) + table
         for title, table in (
             (
+                "Faults that were found",
+                report_tables.faults(review.report.faults, sheet.second),
+            ),
+            (
                 "Vibration and clipping",
                 report_tables.vibration(review.numbers.vibration, sheet.second),
             ),
@@ -224,6 +230,7 @@ def _sections(review: FlightReview, sheet: Sheet) -> list[tuple[str, list[Any]]]
             _fixes(review, sheet),
         ),
         ("What the filter made of the measurements", _looks(review, sheet)),
+        ("What may have begun to be wrong", _faults(review, sheet)),
         ("Biases and sigmas", _biases(review, sheet)),
         ("Spectra of the inertial samples", _spectra(review, sheet)),
     ]
@@ -355,6 +362,42 @@ def _looks(review: FlightReview, sheet: Sheet) -> list[Any]:
     )
     if plots:
         sheet.mark(plots[-1], [(look.t_ns, look.reset) for look in looks if look.reset])
+    return plots
+
+
+def _faults(review: FlightReview, sheet: Sheet) -> list[Any]:
+    """Return a row of bars for each source that was suspected, its probability, and the levels."""
+    found = review.evidence
+    if len(found.t_ns) < 2:
+        return []
+    # once a second, of a long flight less often
+    gap_ns = max(GAP_NS, round(3.0 * float(np.median(np.diff(found.t_ns)))))
+    shown = [one for one in SOURCES if (found.probability[:, one] > SHARE).any()]
+    palette = {one: COLOURS[i % len(COLOURS)] for i, one in enumerate(shown)}
+    rows = [
+        (SOURCES[one][1], palette[one], held)
+        for one in shown
+        if (held := spans(found.t_ns, found.probability[:, one] > EVEN, gap_ns))
+    ]
+    plots = [sheet.bands("more likely wrong than right", rows)] if rows else []
+    if shown:
+        plot = sheet.figure("probability that it is wrong", "", y_range=(-0.02, 1.02))
+        for one in shown:
+            look: dict[str, Any] = {"line_color": palette[one], "legend_label": SOURCES[one][1]}
+            sheet.line(plot, found.t_ns, found.probability[:, one], **look)
+        place_legend(plot)
+        plots.append(plot)
+    table = review.table
+    std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
+    for i, (name, sigma) in enumerate(
+        (("horizontal", std), ("vertical", table.column("sd_pos_d")))
+    ):
+        if np.isfinite(found.protection[:, i]).any():
+            lines = [
+                ("protection level", found.t_ns, found.protection[:, i], _TRUTH),
+                ("sigma", table.stamp_ns, sigma, _OURS),
+            ]
+            plots += sheet.lines(f"protection level, {name}", "m", lines)
     return plots
 
 

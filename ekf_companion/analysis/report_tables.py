@@ -15,6 +15,7 @@ from ekf_companion.analysis.flight_numbers import Numbers, Vibration
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.score import ROWS, Score
 from ekf_companion.analysis.status_bands import Band
+from ekf_companion.engine.faults import SOURCES, FoundFault
 from ekf_companion.logs.onboard import LEVELS, Onboard
 from ekf_companion.review.difference import SETTLED_NS
 from ekf_companion.version import __version__
@@ -189,6 +190,30 @@ def messages(found: Onboard, when: Callable[[int], float]) -> str:
         f"<tbody>{''.join(body)}</tbody></table>{more}"
     )
     return _folded(f"{len(body)} messages of the autopilot", table, "said", is_open=len(body) < 30)
+
+
+def faults(found: Sequence[FoundFault], when: Callable[[int], float]) -> str:
+    """Return the faults that were beyond doubt; ``when`` returns the page's time of a stamp, s."""
+    if not found:
+        return ""
+    body = ""
+    for one in found:
+        words, std = one.size_words
+        body += (
+            f"<tr><td class=text>{escape(SOURCES[one.source][1])}</td>"
+            f"<td class=text>{escape(words)}</td><td>{escape(std)}</td>"
+            f"<td>{when(one.onset_ns):.0f}</td><td>{when(one.until_ns):.0f}</td>"
+            f"<td>{one.evidence:.0f}</td></tr>"
+        )
+    note = (
+        "To: when it was beyond doubt last; one that has been repaired is so no longer. Evidence: "
+        "logarithm of how much more likely the readings are with the fault than without any."
+    )
+    return (
+        "<div class=scroll><table id=faults><thead><tr><th>source</th><th>fault</th><th>sigma</th>"
+        f"<th>from, s</th><th>to, s</th><th>evidence</th></tr></thead><tbody>{body}</tbody></table>"
+        f"</div><p class=note>{escape(note)}</p>"
+    )
 
 
 def settings(review: FlightReview) -> str:

@@ -43,17 +43,17 @@ def bands(table: Table) -> tuple[Band, ...]:
     for one in Status:
         is_one, by_reason = status == one, spent.get(one, {})
         if is_one.any():
-            found.append(Band(one.words, one, _spans(t_ns, is_one), sum(by_reason.values())))
+            found.append(Band(one.words, one, spans(t_ns, is_one), sum(by_reason.values())))
         for reason in ORDER:
             holds = is_one & (reasons == int(reason))
             if holds.any():
                 name, seconds = f"{one.words}: {WORDS[reason]}", by_reason.get(reason, 0.0)
-                below.append(Band(name, one, _spans(t_ns, holds), seconds))
+                below.append(Band(name, one, spans(t_ns, holds), seconds))
     gaps = np.flatnonzero(np.diff(t_ns) > GAP_NS)
     if len(gaps):
-        spans = zip(t_ns[gaps].tolist(), t_ns[gaps + 1].tolist(), strict=True)
+        parts = zip(t_ns[gaps].tolist(), t_ns[gaps + 1].tolist(), strict=True)
         seconds = float(np.diff(t_ns)[gaps].sum() * 1e-9)
-        below.append(Band(NO_SAMPLES, None, tuple(spans), seconds))
+        below.append(Band(NO_SAMPLES, None, tuple(parts), seconds))
     return (*found, *below)
 
 
@@ -68,10 +68,10 @@ def joined(spans_ns: Sequence[tuple[int, int]], least_ns: int) -> list[tuple[int
     return found
 
 
-def _spans(t_ns: Stamps, holds: Mask) -> tuple[tuple[int, int], ...]:
-    """Return the spans of a status: from an estimate to the next one, but not over gaps."""
+def spans(t_ns: Stamps, holds: Mask, gap_ns: int = GAP_NS) -> tuple[tuple[int, int], ...]:
+    """Return the spans in which something holds: from a row to the next, but not over gaps."""
     until = np.append(t_ns[1:], t_ns[-1])
-    until = np.where(until - t_ns > GAP_NS, t_ns, until)
-    begins = holds & ~np.append(False, holds[:-1] & (np.diff(t_ns) <= GAP_NS))
+    until = np.where(until - t_ns > gap_ns, t_ns, until)
+    begins = holds & ~np.append(False, holds[:-1] & (np.diff(t_ns) <= gap_ns))
     ends = holds & np.append(~holds[1:] | begins[1:], True)
     return tuple(zip(t_ns[begins].tolist(), until[ends].tolist(), strict=True))

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.engine.faults import NO_EVIDENCE, FaultEvidence, FoundFault
 from ekf_companion.errors import ConfigError
 from ekf_companion.logs.csv_writer import Writer as CsvWriter
 from ekf_companion.logs.tum_writer import Writer as TumWriter
@@ -55,6 +56,8 @@ class Estimates:
         notes: tuple[str, ...] = (),
         *,
         dropped: Mapping[str, int] | None = None,
+        faults: tuple[FoundFault, ...] = (),
+        evidence: FaultEvidence = NO_EVIDENCE,
     ) -> None:
         self.table = table
         """All columns, as ``convert`` writes them."""
@@ -62,6 +65,10 @@ class Estimates:
         """What one should know of the run, one sentence each: read them where there are any."""
         self.dropped: Mapping[str, int] = dict(dropped or {})
         """Rows that were not used, by array; ``notes`` say why."""
+        self.faults = faults
+        """What was wrong beyond doubt, where the settings' ``weigh_faults`` asks for it."""
+        self.evidence = evidence
+        """How probable it was over time that each source was wrong, and the protection levels."""
 
     def __len__(self) -> int:
         return len(self.table)

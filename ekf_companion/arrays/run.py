@@ -20,6 +20,7 @@ from ekf_companion.arrays.types import (
 )
 from ekf_companion.core.memory.aid import find
 from ekf_companion.core.settings.settings import FilterSettings
+from ekf_companion.engine.faults import NO_EVIDENCE, FoundFault
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters.observation import Observation
 from ekf_companion.logs.recording import Recording
@@ -36,6 +37,7 @@ from ekf_companion.nav.measurements import (
 )
 from ekf_companion.nav.state import join
 from ekf_companion.replay.filters_by_name import (
+    EskfSolution,
     FilterName,
     Run,
     counts_of,
@@ -117,6 +119,8 @@ def estimate(
             "FilterSettings(gnss=GnssSettings(delay=0.2))"
         )
     read = Reader(units, check, chosen.gnss.delay)
+    faults: tuple[FoundFault, ...] = ()
+    evidence = NO_EVIDENCE
     others = aids if isinstance(aids, Mapping) else {}
     own = () if isinstance(aids, Mapping) else aids
     events = _read(read, time, gyro, accel, others, gnss=gnss, heading=heading, mag=mag, baro=baro)
@@ -128,10 +132,13 @@ def estimate(
             smoothing.run(events)
             table, counts = join(list(smoothing.tables())), counts_of(smoothing.health())
             notes = late_fixes(smoothing, chosen, recording)
+            faults, evidence = tuple(smoothing.found_faults()), smoothing.fault_evidence()
         notes += tuple(account.late_begin(table, events))
     else:
         solution = run_filter(recording, filter, chosen, aids=own)
         table, counts, notes = solution.table, dict(solution.counts), solution.notes
+        if isinstance(solution, EskfSolution):
+            faults, evidence = solution.faults, solution.evidence
     if not np.isfinite(table.column("q_w")).any():
         span = (events.t_ns[-1] - events.t_ns[0]) * 1e-9
         why = "; ".join(["", *read.notes])
@@ -152,7 +159,9 @@ def estimate(
             "track.time, not by row"
         )
     said = account.sentences(table, events, counts, has_position=has_position)
-    return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
+    found = [f"fault: {one.words(int(events.t_ns[0]))}" for one in faults]
+    notes = (*read.notes, *said, *notes, *found)
+    return Estimates(table, notes, dropped=read.dropped, faults=faults, evidence=evidence)
 
 
 def _without_velocity(events: Events) -> str:

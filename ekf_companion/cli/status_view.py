@@ -62,6 +62,7 @@ def _stages(data: Data) -> Table:
         ("inertial", _inertial(data["imu"])),
         ("time", _time(data["time"])),
         ("estimate", _estimate(data)),
+        *((("faults", words),) if (words := _faults(data["estimator"])) else ()),
         ("output", _output(data["output"])),
         ("guard", _guard(data["output"])),
         ("settings", _settings(data)),
@@ -131,6 +132,19 @@ def _estimate(data: Data) -> str:
     text += f", {estimator['gaps']} gap{'' if estimator['gaps'] == 1 else 's'}"
     text = _with_losses(text, {f"resets for {reason}": n for reason, n in data["resets"].items()})
     return text + _reasons(data["seconds"])
+
+
+def _faults(estimator: Data | None) -> str:
+    """Return what is suspected and what was found; empty: nothing, or nobody asked."""
+    if not estimator:
+        return ""
+    parts = [f"suspected: {one}" for one in estimator.get("suspected", ())]
+    parts += [f"found: {one}" for one in estimator.get("found", ())]
+    if estimator.get("protection_horizontal") is not None:
+        horizontal = _number(estimator["protection_horizontal"], "m", 1)
+        vertical = _number(estimator["protection_vertical"], "m", 1)
+        parts.append(f"protection level {horizontal} horizontal, {vertical} vertical")
+    return "; ".join(parts)
 
 
 def _reasons(seconds: Mapping[str, Mapping[str, float]]) -> str:

@@ -22,17 +22,20 @@ import numpy as np
 from cython import address
 from cython.cimports.ekf_companion.core.filter import tape
 from cython.cimports.ekf_companion.core.filter.update import difference, inject, rebase
+from cython.cimports.ekf_companion.core.memory.bank import BANK
 from cython.cimports.ekf_companion.core.memory.enums import (
     KIND_IMU,
     LINK_CUT,
     LINK_MOVED,
     LINK_SAME,
     MODE_ATTITUDE,
+    WEIGH_ACT,
     N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import (
     Numbers,
     Square,
+    as_banks,
     as_estimate,
     as_events,
     as_parameters,
@@ -78,9 +81,23 @@ class Smoother:
         self.x = as_state(self.blocks[0])
         self.y = as_state(self.blocks[1])
         self.z = as_state(self.blocks[2])
+        has_bank = cython.declare(cython.bint, self.k.weighs_faults == WEIGH_ACT)
+        self.bank_table = np.zeros((1, BANK if has_bank else 1))
+        self.w.observation.has_bank = has_bank
+        self.w.observation.bank = as_banks(self.bank_table)
+
+    def bank(self) -> np.ndarray:
+        """Return a copy of the fault hypotheses after what was run last, shape (BANK,) or (1,)."""
+        return np.array(self.bank_table[0])
+
+    def set_bank(self, bank: Numbers) -> None:
+        """Run on from other fault hypotheses, as :meth:`bank` returned them."""
+        self.bank_table[0, :] = bank
 
     def advance(self, block: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Run the filter over rows in order of time, without a tape.
+
+        The fault hypotheses, where they decide, run on from those of before.
 
         Args:
             block: The state before them, shape (BLOCK,).
@@ -127,12 +144,17 @@ class Smoother:
         return blocks
 
     def describe(self, blocks: np.ndarray) -> np.ndarray:
-        """Return the estimates of states, shape (n, OUT): :class:`~.scratch.Estimate`."""
+        """Return the estimates of states, shape (n, OUT): :class:`~.scratch.Estimate`.
+
+        Fault hypotheses are mixed in nowhere: what was beyond doubt later is known before too.
+        """
+        self.w.observation.has_bank = False
         out = np.empty((len(blocks), OUT))
         for i in range(len(blocks)):
             write_estimate(
                 as_state(blocks[i]), self.k, self.z, address(self.w), as_estimate(out[i])
             )
+        self.w.observation.has_bank = self.k.weighs_faults == WEIGH_ACT
         return out
 
     def _forward(self, table: Table[np.float64]) -> None:

@@ -9,7 +9,9 @@ Whatever becomes of the state, the frame outlives it: an autopilot that follows 
 its origin, and in the air a new one would be a jump. So the origin goes on with a cold start too,
 as long as it is the same vehicle, and its autopilot has not rebooted.
 
-The bytes, little endian: a header, the state block, the rows that wait for a sample, a CRC-32.
+The bytes, little endian: a header, the state block, the rows that wait for a sample, where there
+are fault hypotheses these behind a fingerprint of their layout, a CRC-32. A checkpoint without
+them, or with those of another layout, is used all the same: they begin anew.
 """
 
 from __future__ import annotations
@@ -19,17 +21,20 @@ import math
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.config.service import CheckpointConfig
+from ekf_companion.core.memory import bank as declared_bank
 from ekf_companion.core.memory import enums
 from ekf_companion.core.memory import state as declared_state
+from ekf_companion.core.memory.bank import BANK, FOUND, INSTANCES
 from ekf_companion.core.memory.declare import pxd
-from ekf_companion.core.memory.enums import Mode, Reset
-from ekf_companion.core.memory.overlay import as_state, errors
+from ekf_companion.core.memory.enums import Fault, Mode, Reset
+from ekf_companion.core.memory.overlay import as_banks, as_state, bank_size, errors
 from ekf_companion.core.memory.scratch import ROW
 from ekf_companion.core.memory.state import BLOCK, Alignment, Field
 from ekf_companion.core.settings.settings import HABITS
@@ -83,6 +88,8 @@ class State:
     """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
     sent_before: int = 0
     """Resets that were sent before this state was begun with, >= 0."""
+    bank: Array = field(default_factory=lambda: np.zeros(0))
+    """Fault hypotheses, as ``Timeline.bank`` returns them; empty: there are none."""
 
     @property
     def next_reset(self) -> int:
@@ -166,7 +173,13 @@ def layout_fingerprint() -> bytes:
     return hashlib.sha256(declared.encode()).digest()[:8]
 
 
+def bank_fingerprint() -> bytes:
+    """Return 8 bytes that change with any field of the fault hypotheses."""
+    return hashlib.sha256(pxd(declared_bank).encode()).digest()[:8]
+
+
 LAYOUT = layout_fingerprint()
+BANK_LAYOUT = bank_fingerprint()
 
 
 def settings_fingerprint(parameters: Array, delays_ns: npt.NDArray[np.int64]) -> bytes:
@@ -198,6 +211,8 @@ def encode(checkpoint: Checkpoint) -> bytes:
         len(state.waiting),
     )
     body += state.block.astype("<f8").tobytes() + state.waiting.astype("<f8").tobytes()
+    if len(state.bank):
+        body += BANK_LAYOUT + state.bank.astype("<f8").tobytes()
     return body + zlib.crc32(body).to_bytes(4, "little")
 
 
@@ -236,9 +251,11 @@ def decode(data: bytes) -> Checkpoint | Refusal:
             "the next one takes its place",
             remains=remains,
         )
-    if size != BLOCK or len(data) != _HEADER.size + 8 * (size + count * ROW) + 4:
+    end = _HEADER.size + 8 * (size + count * ROW)
+    more = len(data) - 4 - end
+    if size != BLOCK or more < 0 or more % 8:
         return Refusal(Why.DAMAGED, "its size does not fit its content")
-    content = np.frombuffer(data[_HEADER.size : -4], dtype="<f8").astype(np.float64)
+    content = np.frombuffer(data[_HEADER.size : end], dtype="<f8").astype(np.float64)
     state = State(
         epoch_ns=epoch_ns,
         stamp_ns=stamp_ns,
@@ -246,6 +263,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         waiting=content[size:].reshape(count, ROW),
         settings=settings,
         sent_before=before,
+        bank=_bank(data[end:-4]),
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")
@@ -267,6 +285,27 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         sources=Sources(*sources),
         starts=starts,
     )
+
+
+def _bank(data: bytes) -> Array:
+    """Return fault hypotheses in the bytes behind a state; empty: there are none of this layout."""
+    none = np.zeros(0)
+    found = np.frombuffer(data[len(BANK_LAYOUT) :], dtype="<f8").astype(np.float64)
+    if data[: len(BANK_LAYOUT)] != BANK_LAYOUT or len(found) > BANK:
+        return none
+    numbers = np.zeros(BANK)
+    numbers[: len(found)] = found
+    banks: Any = as_banks(numbers[None])
+    bank = banks[0]
+    if (
+        not 0 <= bank.n <= INSTANCES
+        or bank_size(bank) != len(found)
+        or not 0 <= bank.finds <= FOUND
+    ):
+        return none
+    kinds = {bank.found[i].kind for i in range(bank.finds)}
+    kinds |= {bank.instance[i].kind for i in range(bank.n)}
+    return found if kinds <= set(Fault) and np.isfinite(found).all() else none
 
 
 def _refuse_state(state: State) -> Refusal | None:
@@ -324,6 +363,8 @@ def _is_known(block: Array) -> bool:
     x = as_state(known)
     x.field, x.alignment = Field(), Alignment()
     x.armed = x.landed = 0.0
+    x.slide.way[:] = (0.0, 0.0)
+    x.force_sum[:] = (0.0, 0.0, 0.0)
     return bool(np.isfinite(known).all())
 
 

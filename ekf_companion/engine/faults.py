@@ -1,14 +1,16 @@
-"""Faults that were beyond doubt, in words."""
+"""Faults that were found, and sources that are suspected, in words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ekf_companion.core.memory.enums import Fault
+from ekf_companion.core.memory.enums import Fault, Source
+from ekf_companion.core.settings.faults import FAULTS
+from ekf_companion.nav.arrays import Array, Stamps
 
 _DEG = math.degrees(1.0)
 
@@ -48,6 +50,39 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
 """What each is called, and its size in the unit of the words."""
 
 
+SOURCES: Mapping[Source, tuple[str, str]] = {
+    Source.POSITION: ("position", "GNSS position"),
+    Source.DRAG: ("position", "GNSS position with its velocity"),
+    Source.VELOCITY: ("position", "GNSS velocity"),
+    Source.SETTLING: ("position", "a receiver that settles"),
+    Source.HEIGHT: ("height", "GNSS height"),
+    Source.FALL: ("height", "GNSS height with its velocity"),
+    Source.SETTLING_HEIGHT: ("height", "a receiver that settles"),
+    Source.CLIMB: ("height", "GNSS vertical velocity"),
+    Source.BARO: ("height", "barometer"),
+    Source.COMPASS: ("heading", "compass"),
+    Source.HEADING: ("heading", "heading source"),
+    Source.ACCEL: ("motion", "accelerometer"),
+    Source.GYRO: ("motion", "gyro"),
+    Source.STATE: ("motion", "our own state"),
+    Source.DELAY: ("motion", "delay of the fixes"),
+    Source.LEVER: ("motion", "place of the antenna"),
+}
+"""What a fault of each source spoils, and the source in words."""
+EVEN = 0.5
+"""Probability from which on something is suspected: it is more likely wrong than right."""
+SHARE = 0.1
+"""Share of that from which on a source is named with others."""
+MOST_NAMES = 3
+"""Sources that are named at once: more say no more than that nobody knows."""
+OPENED = (
+    *(Source.POSITION, Source.VELOCITY, Source.CLIMB),
+    *(Source.HEIGHT, Source.FALL, Source.BARO),
+)
+"""Sources whose readings correct nothing while they are suspected, with ``weigh_faults: act``; so
+decides ``hypotheses.open_rows``."""
+
+
 class FoundFault(NamedTuple):
     """A fault that was beyond doubt, of constant size since its onset."""
 
@@ -58,11 +93,96 @@ class FoundFault(NamedTuple):
     """Stamp at which that was so last."""
     size: tuple[float, float, float]
     """By component, in the fault's unit; what it has no component for is 0."""
+    std: tuple[float, float, float]
+    """One sigma of each."""
+    evidence: float
+    """Log-likelihood of what was measured, beside that of no fault."""
+
+    @property
+    def source(self) -> Source:
+        """Whose fault it is."""
+        return FAULTS[self.kind].source
+
+    @property
+    def size_words(self) -> tuple[str, str]:
+        """What it is with its size, and one sigma of that in the same unit."""
+        text, scale = WORDS[self.kind]
+        size = float(np.linalg.norm(self.size))
+        # of the size along the fault
+        along = np.divide(self.size, size) if size > 0.0 else np.ones(3) / math.sqrt(3.0)
+        std = float(np.linalg.norm(along * self.std))
+        digits = text[text.index("{") : text.index("}") + 1]
+        return text.format(scale * size), digits.format(scale * std)
 
     def words(self, first_ns: int) -> str:
         """Return what it is, how large, and when, counted from a stamp."""
-        text, scale = WORDS[self.kind]
         begin, end = (1e-9 * (t - first_ns) for t in (self.onset_ns, self.until_ns))
-        return (
-            f"{text.format(scale * float(np.linalg.norm(self.size)))}, {begin:.0f} to {end:.0f} s"
-        )
+        return f"{self.size_words[0]}, {begin:.0f} to {end:.0f} s"
+
+    def words_ago(self, now_ns: int, *, repaired: bool = False) -> str:
+        """Return what it is, how large, and how long ago it began and was so last, or repaired."""
+        begin, end = (1e-9 * (now_ns - t) for t in (self.onset_ns, self.until_ns))
+        if repaired:
+            return f"{self.size_words[0]}, since {begin:.0f} s, repaired {end:.0f} s ago"
+        return f"{self.size_words[0]}, {begin:.0f} to {end:.0f} s ago"
+
+    def to_dict(self, first_ns: int) -> dict[str, Any]:
+        """Return it for JSON, in the unit of its kind, with times in s, counted from a stamp."""
+        rows = FAULTS[self.kind].rows
+        return {
+            "source": self.source.name.lower(),
+            "kind": self.kind.name.lower(),
+            "words": self.size_words[0],
+            "size": list(self.size[:rows]),
+            "std": list(self.std[:rows]),
+            "from_s": (self.onset_ns - first_ns) * 1e-9,
+            "to_s": (self.until_ns - first_ns) * 1e-9,
+            "evidence": self.evidence,
+        }
+
+
+class FaultEvidence(NamedTuple):
+    """How probable it was over time that each source was wrong."""
+
+    t_ns: Stamps
+    """Stamps, once a second or less often, shape (n,)."""
+    probability: Array
+    """By :class:`~.enums.Source`, shape (n, sources). What shows in the level and what shows in the
+    vertical may be there at once."""
+    protection: Array
+    """Horizontal and vertical protection level, m, shape (n, 2); NaN: none."""
+
+
+NO_EVIDENCE = FaultEvidence(
+    np.zeros(0, dtype=np.int64), np.zeros((0, len(Source))), np.zeros((0, 2))
+)
+
+
+def by_source(probability: Array) -> dict[str, float]:
+    """Return the probabilities of the sources by name, those below a thousandth left out."""
+    return {
+        source.name.lower(): float(probability[source])
+        for source in SOURCES
+        if probability[source] >= 1e-3
+    }
+
+
+def suspicions(probability: Array, *, decides: bool = False) -> tuple[str, ...]:
+    """Return what is suspected, in words, by what a fault of it spoils.
+
+    As ``height: GNSS height or barometer (0.93)``, with the probability that any of these is wrong.
+    Where the hypotheses decide, a source that is more likely wrong than right is not used.
+    """
+    spoilt: dict[str, list[Source]] = {}
+    for source, (what, _) in SOURCES.items():
+        spoilt.setdefault(what, []).append(source)
+    found = []
+    for what, sources in spoilt.items():
+        total = float(probability[sources].sum())
+        if total > EVEN:
+            ranked = sorted(sources, key=lambda one: -probability[one])
+            named = [SOURCES[one][1] for one in ranked if probability[one] >= SHARE * total]
+            is_opened = decides and ranked[0] in OPENED and probability[ranked[0]] > EVEN
+            words = f"{what}: {' or '.join(named[:MOST_NAMES])} ({total:.2f})"
+            found.append(f"{words}, {named[0]} not used" if is_opened else words)
+    return tuple(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -87,6 +88,21 @@ class Health:
     """Whether the last of each aid was refused on other evidence, whatever its ratio is."""
     headings: Mapping[str, Mapping[Verdict, int]] = field(default_factory=dict)
     """The verdicts on headings by :data:`HEADING_SENSORS`."""
+    faults: Mapping[str, float] = field(default_factory=dict)
+    """How probable it is of each source that it is wrong, by name, from a thousandth on; empty
+    without ``weigh_faults``."""
+    suspected: tuple[str, ...] = ()
+    """What is more likely wrong than right, in words: ``height: GNSS height or barometer (0.93)``.
+    """
+    found: tuple[str, ...] = ()
+    """Faults that were beyond doubt so far, in words, with how long ago each began and was so."""
+    found_counts: Mapping[str, int] = field(default_factory=dict)
+    """How many there were by source."""
+    protection_horizontal: float = math.nan
+    """What the horizontal error exceeds with the probability ``integrity.risk``, m; NaN: the fault
+    hypotheses do not decide, or there is no position."""
+    protection_vertical: float = math.nan
+    """The same of the height, m."""
 
     @property
     def is_receiver_refused(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from ekf_companion.core.settings.field import Field
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Origin, State, settings_fingerprint
-from ekf_companion.engine.faults import FoundFault
+from ekf_companion.engine.faults import FaultEvidence, FoundFault, by_source, suspicions
 from ekf_companion.engine.health import (
     HEADING_SENSORS,
     RESET_REASONS,
@@ -64,6 +65,7 @@ class Pipeline:
         """``px4``, ``ardupilot`` or ``unknown``."""
         self._gnss_delay = gnss_delay
         self._slow_time = settings.gnss.slow_time
+        self._decides = settings.weigh_faults == "act"
         k, late = parameters(settings, family, gnss_delay), delays_ns(settings, family, gnss_delay)
         self._late = late
         self._fingerprint = settings_fingerprint(k, late)
@@ -132,6 +134,7 @@ class Pipeline:
             waiting=self._timeline.waiting(),
             settings=self._fingerprint,
             sent_before=self.sent_before,
+            bank=self._timeline.bank(),
         )
 
     def restore(self, state: State) -> None:
@@ -144,7 +147,7 @@ class Pipeline:
         moved = as_state(block).moved
         moved.pos_n[:] = moved.vel_n[:] = (0.0, 0.0, 0.0)
         moved.yaw = 0.0
-        self._timeline.restore(block, state.waiting, state.epoch_ns, state.stamp_ns)
+        self._timeline.restore(block, state.waiting, state.epoch_ns, state.stamp_ns, state.bank)
         self.sent_before = state.sent_before
         self.start = "warm"
         self.resets_before = int(as_state(state.block).resets)
@@ -160,8 +163,15 @@ class Pipeline:
 
     def found_faults(self) -> list[FoundFault]:
         """Return the faults that were beyond doubt so far; none without ``weigh_faults``."""
-        found = self._timeline.found()
-        return [FoundFault(Fault(kind), onset, until, size) for kind, onset, until, size in found]
+        return [
+            FoundFault(Fault(kind), onset, until, size, std, evidence)
+            for kind, onset, until, size, std, evidence in self._timeline.found()
+        ]
+
+    def fault_evidence(self) -> FaultEvidence:
+        """Return how probable each source's fault was over time; empty without ``weigh_faults``."""
+        table = self._timeline.evidence()
+        return FaultEvidence(table[:, 0].astype(np.int64), table[:, 3:], table[:, 1:3])
 
     @property
     def resets(self) -> int:
@@ -206,6 +216,11 @@ class Pipeline:
         """Return the filter's own account of itself."""
         x, now = as_state(self._timeline.block()), as_estimate(self.values())
         arrivals = self._timeline.arrivals
+        # those of a clock that has begun anew since are of no time of this one
+        faults = [one for one in self.found_faults() if one.until_ns <= self.stamp_ns]
+        probability = self._timeline.suspected()
+        suspected = suspicions(probability, decides=self._decides)
+        levels = self._timeline.protection()
         return Health(
             status=Status(int(now.status)),
             resets=int(x.resets),
@@ -240,6 +255,12 @@ class Pipeline:
             is_position_autopilots=bool(x.fix_t > x.raw_fix_t),
             start=self.start,
             reasons=in_words(x, Reason(self._timeline.reasons)),
+            faults=by_source(probability),
+            suspected=suspected,
+            found=tuple(one.words_ago(self.stamp_ns, repaired=self._decides) for one in faults),
+            found_counts=Counter(one.source.name.lower() for one in faults),
+            protection_horizontal=levels[0],
+            protection_vertical=levels[1],
             receiver=int(x.receiver),
             compass=int(x.compass),
         )

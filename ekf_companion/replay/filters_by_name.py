@@ -6,7 +6,7 @@ Each is imported when it is run: some need much of SciPy.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -19,6 +19,7 @@ from ekf_companion.core.memory.overlay import as_state
 from ekf_companion.core.settings.field import Field
 from ekf_companion.core.settings.from_settings import delays_ns
 from ekf_companion.core.settings.settings import FilterSettings
+from ekf_companion.engine.faults import NO_EVIDENCE, FaultEvidence, FoundFault
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
@@ -58,6 +59,17 @@ FilterName = Literal[
     "vqf",
 ]
 """The filters, with their options."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class EskfSolution(Solution):
+    """The result of the daemon's own pipeline."""
+
+    faults: tuple[FoundFault, ...] = ()
+    """What was wrong beyond doubt, where ``weigh_faults`` asks for it."""
+    evidence: FaultEvidence = NO_EVIDENCE
+    """How probable each source's fault was over time."""
+
 
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
@@ -164,8 +176,10 @@ def _eskf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
             stamps.append(pipeline.stamp_ns)
             kept.append(P[np.ix_(BLOCKS, BLOCKS)])
     health = pipeline.health()
-    return Solution(
+    return EskfSolution(
         name="eskf",
+        faults=tuple(pipeline.found_faults()),
+        evidence=pipeline.fault_evidence(),
         table=join(tables),
         covariance_ns=np.array(stamps, dtype=np.int64),
         covariance=np.array(kept).reshape(-1, 9, 9),

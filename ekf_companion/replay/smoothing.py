@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_companion.core.memory.enums import Mode
+from ekf_companion.core.memory.overlay import as_state
 from ekf_companion.core.memory.scratch import OUT, ROW, Event
 from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.rts import Smoother
@@ -68,6 +70,7 @@ class Smoothing(Pipeline):
         self._final = Spool(ROW, in_memory)
         self._results = Spool(1 + OUT, in_memory)
         self._blocks = Spool(BLOCK, in_memory)
+        self._banks = Spool(len(self._smoother.bank()), in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
         self._clock = -1
@@ -79,7 +82,7 @@ class Smoothing(Pipeline):
 
     def __exit__(self, *_: object) -> None:
         """Delete the rows, results and states stored."""
-        for spool in (self._final, self._results, self._blocks):
+        for spool in (self._final, self._results, self._blocks, self._banks):
             spool.__exit__()
 
     def run(self, events: Events) -> Table:
@@ -105,6 +108,7 @@ class Smoothing(Pipeline):
             is_last = after is None or after.clock != stretch.clock
             rows = self._final.read(stretch.first, stretch.count)
             block = self._blocks.read(stretch.number, 1)[0]
+            self._smoother.set_bank(self._banks.read(stretch.number, 1)[0])
             blocks = self._smoother.smooth(block, rows, None if is_last else later)
             later, after = blocks[0], stretch
             self._store_results(stretch, rows, blocks[1:])
@@ -132,6 +136,8 @@ class Smoothing(Pipeline):
             if clock != self._clock:
                 self._cut(is_over=True)
                 self._clock, self._epoch, self._block = clock, epoch, start
+                if as_state(start).mode == Mode.INIT:  # not a clock that was set
+                    self._smoother.set_bank(np.zeros_like(self._smoother.bank()))
             self._waiting.append(rows)
             if sum(map(len, self._waiting)) >= STRETCH:
                 self._cut(is_over=False)
@@ -168,6 +174,7 @@ class Smoothing(Pipeline):
         )
         self._final.append(rows)
         self._blocks.append(self._block[None])
+        self._banks.append(self._smoother.bank()[None])
         self._block = self._smoother.advance(self._block, rows)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ekf_companion.engine.faults import FoundFault
 from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health, Verdict
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage, counted
@@ -70,6 +71,8 @@ class Report:
     """Of the telemetry's frames: lost on the link, by their numbers."""
     is_contradictory: bool = False
     """Whether a note says that units, signs, order or axes of a table cannot be meant."""
+    faults: list[FoundFault] = field(default_factory=list)
+    """What was wrong beyond doubt, where ``weigh_faults`` asks for it."""
     stamps: StampCount = NO_SAMPLES
     """Of the inertial samples, and how many of them cannot be right."""
     left_out: list[LeftOut] = field(default_factory=list)
@@ -115,6 +118,7 @@ class Report:
                 status.name.lower(): to_names(by_reason)
                 for status, by_reason in self.reasons.items()
             },
+            "faults": [one.to_dict(self.extent.first_ns) for one in self.faults],
             "resets": self.resets,
             "gaps": health.gaps if health else 0,
             "late": health.reruns if health else 0,

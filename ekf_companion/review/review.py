@@ -102,10 +102,8 @@ class Review(Generic[P]):
         self.compare_sensors()
         report.is_contradictory = bool(self._faults)
         report.notes += self._faults + self._doubts
-        for one in run.pipelines:
-            report.notes += [
-                f"fault: {f.words(report.extent.first_ns)}" for f in one.found_faults()
-            ]
+        report.faults = [fault for one in run.pipelines for fault in one.found_faults()]
+        report.notes += [f"fault: {one.words(report.extent.first_ns)}" for one in report.faults]
         note_shortcomings(report, self._path)
         report.own = reference(run.log, run.autopilot)
         report.truth = truth(run.log, run.autopilot)

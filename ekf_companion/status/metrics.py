@@ -26,6 +26,10 @@ from ekf_companion.status.metric import Metric, counter, gauge
 from ekf_companion.status.snapshot import Snapshot
 
 PREFIX = "ekf_companion_"
+_PROTECTION = (
+    "protection_level_meters",
+    "Exceeded by the error with the probability integrity.risk; weigh_faults: act.",
+)
 
 HEALTH = {
     "samples": counter("inertial_samples", "Taken by the filter."),
@@ -75,6 +79,16 @@ HEALTH = {
     ),
     "std_horizontal": gauge("position_std_meters", "One sigma.", ("axis=horizontal",)),
     "std_vertical": gauge("position_std_meters", "One sigma.", ("axis=vertical",)),
+    "protection_horizontal": gauge(*_PROTECTION, ("axis=horizontal",)),
+    "protection_vertical": gauge(*_PROTECTION, ("axis=vertical",)),
+    "faults": gauge(
+        "fault_probability_ratio",
+        "How probable it is that the source is wrong, from a thousandth on.",
+        ("source",),
+    ),
+    "found_counts": counter(
+        "faults_found", "Faults that were beyond doubt, by whose they are.", ("source",)
+    ),
     "is_position_autopilots": gauge(
         "position_is_autopilots", "1: the autopilot's own estimate is used in place of GNSS."
     ),

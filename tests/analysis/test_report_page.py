@@ -179,6 +179,30 @@ def test_two_boots_are_drawn_one_after_another(flown, tmp_path):
     assert "clock restarted once" in page
 
 
+@pytest.mark.parametrize("mode", ["off", "report", "act"])
+def test_what_may_be_wrong_is_drawn_and_what_was_is_in_a_table(mode, tmp_path):
+    pytest.importorskip("bokeh")
+    log = tmp_path / "jumped.tlog"
+    options = ["--duration", "40", "--fault", "baro-step:start=25,duration=60,height=8"]
+    made = CliRunner().invoke(simulator, ["generate", "-o", str(log), *options])
+    assert made.exit_code == 0, made.output
+    reviewed = review(log, replace(Config(), weigh_faults=mode))
+    text = report_page.page(reviewed)
+    table = text.partition("<table id=faults>")[2].partition("</table>")[0]
+    has_bars, has_levels = '"more likely wrong than right' in text, '"protection level, ver' in text
+    assert has_levels == (mode == "act")
+    assert has_bars == ('"probability that it is wrong' in text) == (mode != "off")
+    assert table.count("<tr>") == (0 if mode == "off" else 2)  # with its head
+    found = reviewed.to_dict()["faults"]
+    if mode != "off":
+        assert "<td class=text>barometer</td>" in table
+        assert [one["source"] for one in found] == ["baro"]
+        assert found[0]["size"] == pytest.approx([8.0], abs=3.0)
+        assert found[0]["from_s"] == pytest.approx(25.0, abs=3.0)
+    else:
+        assert found == []
+
+
 def test_a_second_one_overwrites_nothing_and_json_comes_in_place_of_the_text(reported, flown):
     before = reported[1].read_bytes()
     result = CliRunner().invoke(app, ["report", str(flown), "--json", "--png"])

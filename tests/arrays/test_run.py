@@ -10,6 +10,7 @@ import pytest
 import ekf_companion
 from ekf_companion import OwnAid, estimate
 from ekf_companion.arrays.run import to_events
+from ekf_companion.core.memory.enums import Fault, Source
 from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters import mahony
@@ -114,6 +115,22 @@ def test_smoothing_is_a_keyword_and_better(flown):
     assert np.array_equal(live.t_ns, smoothed.t_ns)
     with pytest.raises(ConfigError, match="smooth: smooths eskf"):
         flown.estimate(smooth=True, filter="ukf")
+
+
+@pytest.mark.parametrize("mode", ["off", "report", "act"])
+@pytest.mark.parametrize("smooth", [False, True])
+def test_faults_that_were_found_are_in_the_result(flown, mode, smooth):
+    late = flown.baro["time"] > flown.time[0] + 25.0
+    baro = {"time": flown.baro["time"], "alt": flown.baro["alt"] + np.where(late, 8.0, 0.0)}
+    settings = FilterSettings(gnss=GnssSettings(delay=0.12), weigh_faults=mode)
+    found = flown.estimate(baro=baro, settings=settings, smooth=smooth)
+    said = [note for note in found.notes if note.startswith("fault: ")]
+    assert len(said) == len(found.faults) == (0 if mode == "off" else 1)
+    assert (len(found.evidence.t_ns) > 25) == (mode != "off")
+    if mode != "off":
+        assert found.faults[0].kind == Fault.BARO_STEP
+        assert found.evidence.probability[:, Source.BARO].max() > 0.99
+        assert said == [f"fault: {found.faults[0].words(int(found.t_ns[0]))}"]
 
 
 @pytest.mark.parametrize("seconds", [0.45, -0.45])

@@ -306,6 +306,19 @@ def test_what_is_refused_is_shown_with_why(data):
     assert "baro refused HIGHRES_IMU, barometer: outside its gate" in text
 
 
+def test_what_may_be_wrong_is_shown_where_that_is_weighed(data):
+    assert "faults" not in page(data)
+    said = {
+        "suspected": ["height: GNSS height or barometer (0.93)"],
+        "found": ["barometer 8.0 m off, 30 to 2 s ago"],
+        "protection_horizontal": 4.26,
+        "protection_vertical": 1.3,
+    }
+    text = " ".join(page({**data, "estimator": {**data["estimator"], **said}}).split())
+    assert "faults suspected: height: GNSS height or barometer (0.93); found: barometer" in text
+    assert "protection level 4.3 m horizontal, 1.3 m vertical" in text
+
+
 def test_before_anything_is_known_it_is_shown_as_such():
     data = json.loads(to_json(Watched().snapshot()))
     text = page(data, is_brief=True)

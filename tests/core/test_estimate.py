@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ekf_companion.core.memory.bank import Bank
 from ekf_companion.core.memory.enums import (
     AIDS,
     E_ATT,
@@ -12,6 +13,7 @@ from ekf_companion.core.memory.enums import (
     Mode,
     NeedsReset,
     Voice,
+    Weigh,
 )
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Estimate, Scratch
@@ -50,7 +52,7 @@ def parameters() -> Parameters:
 
 
 def reasons(x: State) -> Reason:
-    return Reason(load().estimate.find_reasons(x, parameters()))
+    return Reason(load().estimate.find_reasons(x, parameters(), Scratch()))
 
 
 def write(x: State, lag: float = 0.0) -> Estimate:
@@ -244,3 +246,29 @@ def test_both_quaternions_of_an_attitude_are_written_as_one():
     y.q_nb[:] = [-q for q in x.q_nb]
     assert list(write(x).q_nb) == list(write(y).q_nb)
     assert write(y).q_nb[0] >= 0.0
+
+
+def judged(spread: dict[int, float]) -> Reason:
+    """Return the reasons of the best state if fault hypotheses decide that are so far apart."""
+    b, x, k = Bank(), navigating(), parameters()
+    for e, variance in spread.items():
+        b.spread[e][e] = variance
+    k.weighs_faults = Weigh.ACT
+    core = load().estimate
+    return Reason(core.judge_spread(x, k, b) | core.judge_state(x, k))
+
+
+@pytest.mark.parametrize(
+    ("spread", "reason"),
+    [
+        ({}, Reason(0)),
+        ({E_POS: 60.0, E_POS + 1: 38.0}, Reason(0)),
+        ({E_POS: 60.0, E_POS + 1: 40.1}, Reason.UNCERTAIN),
+        ({E_POS: np.nan}, Reason.UNCERTAIN),
+        ({E_POS + 2: 1e4}, Reason(0)),
+        ({E_ATT: np.radians(7.0) ** 2}, Reason(0)),
+        ({E_ATT + 2: np.radians(10.1) ** 2}, Reason.ATTITUDE),
+    ],
+)
+def test_what_fault_hypotheses_leave_open_counts_in_the_status(spread, reason):
+    assert judged(spread) == reason

@@ -46,11 +46,11 @@ def ports():
     return free_port(), free_port(socket.SOCK_STREAM)
 
 
-def start(folder, ports, http=""):
+def start(folder, ports, http="", more=""):
     """Start the daemon on two ports, its link's and its page's."""
     folder.mkdir(exist_ok=True)
     port, http_port = ports
-    config = f"http: {{port: {http_port}{http}}}\noutput: {{odometry: {{mode: always}}}}\n"
+    config = f"http: {{port: {http_port}{http}}}\noutput: {{odometry: {{mode: always}}}}\n{more}"
     return Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config)
 
 
@@ -226,6 +226,19 @@ def test_a_compass_that_is_refused_is_on_the_page_and_in_its_events(tmp_path, po
         tab.wait_for("document.querySelector('#events')?.textContent.includes('Compass refused')")
         lately = "; lately refused: the magnetic field is not the Earth's"
         tab.wait_for(f'document.querySelector("#facts").textContent.includes("{lately}")')
+        assert tab.errors == []
+
+
+@pytest.mark.campaign
+def test_a_fault_that_was_found_is_on_the_page(tmp_path, ports):
+    jump = "baro-step:start=14,duration=600,height=20"
+    flight = flying(f"udpout:127.0.0.1:{ports[0]}", jump)
+    weighed = start(tmp_path, ports, more="weigh_faults: report\n")
+    with chromium(tmp_path) as tab, flight, weighed as daemon:
+        daemon.wait_for("Status on")
+        tab.open(f"http://127.0.0.1:{ports[1]}/")
+        for words in ("height: barometer (", "baro 100 %", "barometer 2"):
+            tab.wait_for(f"document.querySelector('#facts')?.textContent.includes('{words}')")
         assert tab.errors == []
 
 

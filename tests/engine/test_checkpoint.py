@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ekf_companion.core.memory import enums
-from ekf_companion.core.memory.enums import Mode
+from ekf_companion.core.memory.bank import Bank
+from ekf_companion.core.memory.enums import Fault, Mode
 from ekf_companion.core.memory.overlay import as_state
 from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.order.timeline import Timeline
@@ -300,7 +301,9 @@ def test_where_nothing_is_lost_it_goes_on_to_the_bit(kind, every):
         before, after = a_timeline(kind), a_timeline(kind)
         put(before, events.take(np.arange(cut)))
         waiting += len(before.waiting())
-        after.restore(before.block(), before.waiting(), before.epoch_ns, before.stamp_ns)
+        after.restore(
+            before.block(), before.waiting(), before.epoch_ns, before.stamp_ns, before.bank()
+        )
         assert after.stamp_ns == before.stamp_ns
         arrivals = put(after, events.take(np.arange(cut, len(events))))
         assert Arrival.STALE not in arrivals
@@ -322,6 +325,73 @@ def test_a_pipeline_goes_on_from_the_bytes_of_another_to_the_bit():
     assert pipeline.resets == whole.resets + 1
     health = pipeline.health()
     assert (health.reset_reason, health.start) == ("restart", "warm")
+
+
+FAULTY, _ = flight("figure-eight", duration=20.0)
+FAULTY.values[(FAULTY.kind == Kind.BARO) & between(FAULTY, 12.0, 20.0), 0] += 8.0
+
+
+def weighing(mode, until=20.0):
+    """Return a pipeline that weighs faults, run so far over a flight whose barometer jumps."""
+    pipeline = Pipeline(replace(KNOWN, weigh_faults=mode))
+    pipeline.run(FAULTY.take(np.arange(whole_cut(until))))
+    return pipeline
+
+
+def whole_cut(after):
+    """Return the first event after a time, s, behind which no late fix reaches over."""
+    true_ns = FAULTY.t_ns - np.where(FAULTY.kind == Kind.GNSS, 120_000_000, 0)
+    samples = np.maximum.accumulate(np.where(FAULTY.kind == Kind.IMU, FAULTY.t_ns, 0))
+    later = np.minimum.accumulate(true_ns[::-1])[::-1]
+    fits = later[1:] > samples[:-1]
+    behind = FAULTY.t_ns[1:] >= FAULTY.t_ns[0] + after * SECOND_NS
+    found = np.flatnonzero(fits & behind)
+    return int(found[0]) + 1 if len(found) else len(FAULTY)
+
+
+@pytest.mark.parametrize("mode", ["report", "act"])
+@pytest.mark.parametrize("cut", [10.0, 12.9, 17.0], ids=["quiet", "jumped", "named"])
+def test_fault_hypotheses_go_on_to_the_bit(mode, cut):
+    before, whole = weighing(mode, cut), weighing(mode)
+    state = before.state()
+    found = decode(encode(replace(GOOD, state=state))).state
+    assert len(state.bank) > 10_000
+    assert found.bank.tobytes() == state.bank.tobytes()
+    after = Pipeline(replace(KNOWN, weigh_faults=mode))
+    after.restore(found)
+    after.run(FAULTY.take(np.arange(whole_cut(cut), len(FAULTY))))
+    assert after._timeline.hypotheses() == whole._timeline.hypotheses()
+    assert after.found_faults() == whole.found_faults()
+    assert [one.kind for one in whole.found_faults()] == [Fault.BARO_STEP]
+    a, b = after.values(), whole.values()
+    assert np.delete(a, RESETS).tobytes() == np.delete(b, RESETS).tobytes()
+
+
+@pytest.mark.parametrize("change", ["none", "layout", "kind", "count", "number", "cut"])
+def test_without_fault_hypotheses_that_fit_they_begin_anew(change, monkeypatch):
+    state = weighing("report", 17.0).state()
+    bank = state.bank.copy()
+    if change == "none":
+        bank = np.zeros(0)
+    elif change == "kind":
+        bank[Bank.instance.offset // 8 :].view(np.int64)[0] = 99
+    elif change == "count":
+        bank.view(np.int64)[Bank.n.offset // 8] = 999
+    elif change == "number":
+        bank[Bank.nothing.offset // 8] = np.inf
+    elif change == "cut":
+        bank = bank[:-1]
+    data = encode(replace(GOOD, state=replace(state, bank=bank)))
+    if change == "layout":
+        monkeypatch.setattr(checkpoint, "BANK_LAYOUT", bytes(8))
+    found = decode(data)
+    assert isinstance(found, Checkpoint)
+    assert len(found.state.bank) == 0
+    after = Pipeline(replace(KNOWN, weigh_faults="report"))
+    after.restore(found.state)
+    assert after._timeline.hypotheses() == []
+    after.run(FAULTY.take(between(FAULTY, 17.0, 20.0)))
+    assert len(after._timeline.hypotheses()) > 50
 
 
 def test_a_restart_and_a_reboot_of_the_autopilot_both_count_on():

@@ -193,6 +193,34 @@ def test_what_comes_after_a_reset_says_nothing_of_the_position_before_it():
     assert errors(smoothed, truth, 0.0)["sd_pos"][before].max() < 1.5
 
 
+@pytest.mark.parametrize(
+    ("kind", "column", "size", "axis"),
+    [(Kind.GNSS, 0, 20.0 / 6.367e6, 0), (Kind.GNSS, 2, 15.0, 2), (Kind.BARO, 0, 8.0, 2)],
+    ids=["position", "height", "barometer"],
+)
+def test_a_fault_that_was_repaired_is_smoothed_as_if_it_had_never_been(kind, column, size, axis):
+    """Its repair jumps; what was shown before that is as near to the truth as without the fault."""
+    events, truth = flight("figure-eight", duration=60.0, rate=50.0)
+    settings = FilterSettings(gnss=KNOWN.gnss, weigh_faults="act")
+    faulty = changed(events, between(events, 30.0, 99.0) & (events.kind == kind), column, size)
+    live, smoothed = both(faulty, settings)
+    assert same_rows(live, smoothed)
+    right, wrong = (errors(table, truth, 5.0) for table in (both(events, settings)[1], smoothed))
+    assert np.isfinite(wrong["pos"]).all()
+    assert rms(wrong["pos"][:, axis]) < rms(right["pos"][:, axis]) + 1.0
+    assert (np.abs(wrong["pos"]) < 5.0 * wrong["sd_pos"] + 1.0).all()
+
+
+def test_fault_hypotheses_that_decide_smooth_to_the_same_in_pieces_of_any_length(monkeypatch):
+    events, _ = flight("figure-eight", duration=40.0, rate=50.0)
+    events = changed(events, between(events, 20.0, 99.0) & (events.kind == Kind.BARO), 0, 8.0)
+    settings = FilterSettings(gnss=KNOWN.gnss, weigh_faults="act")
+    whole = smooth(events, settings)
+    monkeypatch.setattr(smoothing, "STRETCH", 100)
+    parts = smooth(events, settings)
+    np.testing.assert_allclose(parts.values, whole.values, rtol=1e-9, atol=1e-11)
+
+
 def test_an_attitude_found_anew_begins_a_new_stretch():
     events, truth = flight("figure-eight", duration=50.0)
     hit = between(events, 20.0, 20.5) & (events.kind == Kind.IMU)

@@ -65,6 +65,10 @@ class Found:
     """When it was so last, ns."""
     b: Annotated[Vector, 3]
     """Its mean then, in its unit."""
+    var: Annotated[Vector, 3]
+    """Variance of each component then."""
+    evidence: Real
+    """Log-likelihood then, beside that of no fault."""
 
 
 @struct

@@ -26,8 +26,10 @@ cdef inline TapeRecord *as_records(double[:, ::1] records) noexcept nogil:
     return <TapeRecord *> &records[0, 0]
 cdef inline Bank *as_banks(double[:, ::1] numbers) noexcept nogil:
     return <Bank *> &numbers[0, 0]
+cdef inline Py_ssize_t bank_size(const Bank *bank) noexcept nogil:
+    return ((<char *> &bank.instance[0] - <char *> bank) + bank.n * sizeof(Instance)) // 8
 cdef inline void copy_bank(Bank *to, const Bank *source) noexcept nogil:
-    memcpy(to, source, (<char *> &source.instance[0] - <char *> source) + source.n * sizeof(Instance))
+    memcpy(to, source, 8 * bank_size(source))
 cdef inline void copy_state(State *to, const State *source) noexcept nogil:
     to[0] = source[0]
 cdef inline double *errors(State *x) noexcept nogil:

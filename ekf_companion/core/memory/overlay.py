@@ -60,11 +60,15 @@ def as_banks(numbers: Array) -> Bank:
     return ctypes.cast(numbers.ctypes.data, ctypes.POINTER(kind))
 
 
+def bank_size(bank: Any) -> int:
+    """Return how many numbers of a bank outlive a step: as far as it has instances."""
+    one: Any = Instance
+    return int(Bank.instance.offset + bank.n * ctypes.sizeof(one)) // 8
+
+
 def copy_bank(to: Any, source: Any) -> None:
     """Copy a bank, as far as it has instances."""
-    one: Any = Instance
-    size = Bank.instance.offset + source.n * ctypes.sizeof(one)
-    ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), size)
+    ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), 8 * bank_size(source))
 
 
 def copy_state(to: Any, source: Any) -> None:

@@ -118,6 +118,8 @@ class Parameters:
     """The bank of fault hypotheses runs beside the filter: 1 it tells, 2 it decides."""
     fault: Annotated[Structs, FaultParameters, FAULTS]
     """By kind."""
+    risk: Real
+    """Probability with which the error exceeds the protection level."""
 
 
 PARAMETERS = doubles(Parameters)

@@ -6,11 +6,14 @@ Nothing in it outlives the step, but the smoother's tape. ``setup.py`` makes ``s
 import ctypes
 from typing import Annotated, Any
 
-from ekf_companion.core.memory.bank import Bank
+from ekf_companion.core.memory.bank import INSTANCES, Bank
 from ekf_companion.core.memory.declare import Count, Real, Vector, doubles, struct, union
 from ekf_companion.core.memory.enums import AIDS, RUNS, YAW_FILTERS, YAW_N, N
 from ekf_companion.core.memory.state import Reference, State
 from ekf_companion.nav.measurements import WIDTH
+
+COMPONENTS = INSTANCES + 1
+"""Of the mixture of the fault hypotheses: each, and that nothing is wrong."""
 
 
 @struct
@@ -258,6 +261,32 @@ class Pose:
 
 
 @struct
+class Protection:
+    """What the error may be, by each fault hypothesis: the first, that nothing is wrong."""
+
+    horizontal: Real
+    """The level that was found, m."""
+    vertical: Real
+    n: Count
+    rest: Real
+    """Probability of all that are too improbable to be looked at."""
+    nothing: Real
+    """That nothing is wrong in the level."""
+    nothing_vertical: Real
+    p: Annotated[Vector, COMPONENTS]
+    """Of each; not of the first."""
+    far: Annotated[Vector, COMPONENTS]
+    """Horizontal distance of its mean from what is shown, m."""
+    down: Annotated[Vector, COMPONENTS]
+    """Vertical distance, m."""
+    nn: Annotated[Vector, COMPONENTS]
+    """Its covariance, m^2."""
+    ne: Annotated[Vector, COMPONENTS]
+    ee: Annotated[Vector, COMPONENTS]
+    dd: Annotated[Vector, COMPONENTS]
+
+
+@struct
 class TapeRecord:
     """The state after something happened, and how its error follows from the record before."""
 
@@ -305,6 +334,7 @@ class Scratch:
     observation: Observation
     yaw: YawUpdate
     pose: Pose
+    protection: Protection
     tape: Tape
 
 

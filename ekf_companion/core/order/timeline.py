@@ -35,6 +35,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import (
     as_parameters,
     as_state,
     as_states,
+    bank_size,
     copy_bank,
     copy_state,
 )
@@ -50,8 +51,10 @@ from cython.cimports.ekf_companion.core.output.estimate import (
     write_estimate,
 )
 from cython.cimports.ekf_companion.core.output.odometry import write_odometry
+from cython.cimports.ekf_companion.core.output.protection import find_levels
 from cython.cimports.ekf_companion.core.start.reboot import carry_over
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset
+from cython.cimports.libc.math import sqrt
 
 from ekf_companion.nav.arrays import Column, Table
 
@@ -76,6 +79,10 @@ ROOM = cython.declare(cython.double, 1.9)
 ORDERLY = cython.declare(cython.double, 1e9)
 """Time, ns, in which no sample came late."""
 EVER = cython.declare(cython.double, 1e300)
+EVIDENCE = cython.declare(cython.Py_ssize_t, 4096)
+"""Moments at which it is kept how probable each source's fault was: once a second for an hour, of a
+longer flight less often."""
+Vector3 = tuple[float, float, float]
 COMPILED_BLOCK = BLOCK
 """Size of the state that this module was compiled for."""
 
@@ -131,6 +138,9 @@ class Timeline:
         self.banks = as_banks(self.bank_table)
         self.w.observation.has_bank = has_bank
         self.w.observation.bank = self.banks
+        self.evidence_table = np.zeros((EVIDENCE if has_bank else 1, 3 + enums.SOURCES))
+        self.evidence_size = 0
+        self.evidence_step = 1e9
         self.expected_t = EVER
         self.late_last = np.zeros(len(self.delay))
         self.late_next = np.full(len(self.delay), -1.0)
@@ -154,6 +164,7 @@ class Timeline:
         self.stretch = 0
         self.keeps = keeps_history
         self.gone: list[tuple[int, int, np.ndarray, np.ndarray]] = []
+        self.banks_before: list[tuple[int, np.ndarray]] = []
         self._clear()
 
     def _clear(self) -> None:
@@ -185,6 +196,10 @@ class Timeline:
         self._hand_over(self.cursor)
         copy_state(self.y, self.x)
         self.blocks[0, :] = 0.0
+        if self.w.observation.has_bank:
+            if self.banks[0].finds > 0:
+                self._keep_found()
+            self.bank_table[0, :] = 0.0
         if self.y.mode == enums.MODE_NAVIGATE:
             carry_over(self.x, self.y, self.k)
         self.x.resets = resets
@@ -195,6 +210,10 @@ class Timeline:
         self.lost = 0
         self._begin_stretch()
         self._clear()
+
+    def _keep_found(self) -> None:
+        """Keep what was found by a clock that begins anew, for :meth:`found`."""
+        self.banks_before.append((self.epoch_ns, np.array(self.bank_table[:1])))
 
     def _reboot(self) -> None:
         """Begin anew as the autopilot does, and count that beside the resets of other reasons."""
@@ -260,7 +279,12 @@ class Timeline:
         copy_state(address(self.snapshots[0]), self.x)
 
     def restore(
-        self, block: Numbers, waiting: Table[np.float64], epoch_ns: int, stamp_ns: int
+        self,
+        block: Numbers,
+        waiting: Table[np.float64],
+        epoch_ns: int,
+        stamp_ns: int,
+        bank: Numbers,
     ) -> None:
         """Go on from a state that another timeline was in; that counts as a reset.
 
@@ -273,6 +297,8 @@ class Timeline:
             waiting: Rows that waited for a sample, in order of time, shape (n, ROW).
             epoch_ns: What the times in both count from, ns.
             stamp_ns: Stamp of the newest inertial sample, ns.
+            bank: The fault hypotheses of that state, as :meth:`bank` returned them; empty: none
+                are known, and they begin anew.
         """
         count = min(waiting.shape[0], self.capacity // 2)
         self.blocks[0, :] = block
@@ -283,6 +309,11 @@ class Timeline:
         self.is_restored = True
         self.is_set = False
         self.lost = 0
+        if self.w.observation.has_bank:
+            self.bank_table[0, :] = 0.0
+            self.bank_table[0, : bank.shape[0]] = bank
+            if bank.shape[0] > 0 and self.banks[0].resets == self.x.resets - 1.0:
+                self.banks[0].resets = self.x.resets  # the one just counted has moved nothing
         self._begin_from(self.x.t, stamp_ns)
         self.table[:count, :] = waiting[:count, :]
         self.size = count
@@ -323,7 +354,36 @@ class Timeline:
             result = self._place(t_ns, kind, values)
         if 0 <= kind < self.delay.shape[0]:
             self.counters[kind, result] += 1
+        if result == enums.ARRIVAL_ESTIMATED and self.w.observation.has_bank:
+            self._keep_evidence(t_ns)
         return result
+
+    def _keep_evidence(self, t_ns: int) -> None:
+        """Keep how probable each source's fault is, and the protection levels, once in a while."""
+        n = self.evidence_size
+        t = cython.cast(cython.double, t_ns)
+        if n > 0 and 0.0 <= t - self.evidence_table[n - 1, 0] < self.evidence_step:
+            return
+        if n == EVIDENCE:  # every second one stays
+            n = EVIDENCE // 2
+            for i in range(n):
+                for j in range(self.evidence_table.shape[1]):
+                    self.evidence_table[i, j] = self.evidence_table[2 * i, j]
+            self.evidence_step *= 2.0
+        find_levels(self.x, self.k, address(self.w))
+        self.evidence_table[n, 0] = t
+        self.evidence_table[n, 1] = self.w.protection.horizontal
+        self.evidence_table[n, 2] = self.w.protection.vertical
+        self._write_probabilities(self.evidence_table[n, 3:])
+        self.evidence_size = n + 1
+
+    def _write_probabilities(self, out: Numbers) -> None:
+        """Write how probable it is of each source that it is wrong, shape (SOURCES,)."""
+        for source in range(enums.SOURCES):
+            out[source] = 0.0
+        for i in range(self.banks[0].n):
+            h = address(self.banks[0].instance[i])
+            out[self.k.fault[h.kind].source] += h.p
 
     def _place(self, t_ns: int, kind: int, values: Numbers) -> int:
         """Insert a well-formed event at its time, and rerun what came after it."""
@@ -776,6 +836,12 @@ class Timeline:
         """Return a copy of the rows that wait for the next inertial sample, shape (n, ROW)."""
         return np.array(self.table[self.cursor : self.size])
 
+    def bank(self) -> np.ndarray:
+        """Return a copy of the fault hypotheses, as far as there are any; empty: without a bank."""
+        if not self.w.observation.has_bank:
+            return np.zeros(0)
+        return np.array(self.bank_table[0, : bank_size(address(self.banks[0]))])
+
     @property
     def origin(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
@@ -785,7 +851,7 @@ class Timeline:
     @property
     def reasons(self) -> int:
         """Why the estimate is not OK, as bits: a :class:`~.nav.state.Reason`."""
-        return find_reasons(self.x, self.k)
+        return find_reasons(self.x, self.k, address(self.w))
 
     def hypotheses(self) -> list[tuple[int, float, int, tuple[float, float, float]]]:
         """Return what may be wrong now: of each instance kind, probability, onset and size.
@@ -800,15 +866,49 @@ class Timeline:
                 held.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
         return held
 
-    def found(self) -> list[tuple[int, int, int, tuple[float, float, float]]]:
-        """Return the faults that were beyond doubt: kind, onset, until when (stamps, ns), size."""
+    def found(self) -> list[tuple[int, int, int, Vector3, Vector3, float]]:
+        """Return the faults that were beyond doubt.
+
+        Of each: kind, onset, until when (stamps, ns), size and one sigma of that by component, and
+        the log-likelihood beside that of no fault, then.
+        """
         told = []
-        if self.w.observation.has_bank:
-            for i in range(self.banks[0].finds):
-                one = address(self.banks[0].found[i])
-                onset, until = int(one.onset) + self.epoch_ns, int(one.until) + self.epoch_ns
-                told.append((int(one.kind), onset, until, (one.b[0], one.b[1], one.b[2])))
+        for epoch, table in [*self.banks_before, (self.epoch_ns, np.asarray(self.bank_table))]:
+            numbers: Table[np.float64] = table
+            for i in range(as_banks(numbers)[0].finds if self.w.observation.has_bank else 0):
+                one = address(as_banks(numbers)[0].found[i])
+                onset, until = int(one.onset) + epoch, int(one.until) + epoch
+                size = one.b[0], one.b[1], one.b[2]
+                std = sqrt(one.var[0]), sqrt(one.var[1]), sqrt(one.var[2])
+                told.append((int(one.kind), onset, until, size, std, float(one.evidence)))
         return told
+
+    def suspected(self) -> np.ndarray:
+        """Return how probable it is of each source that it is wrong, shape (SOURCES,).
+
+        What shows in the level and what shows in the vertical may be there at once: one sum each.
+        Zero without ``weigh_faults``.
+        """
+        found = np.zeros(enums.SOURCES)
+        if self.w.observation.has_bank:
+            self._write_probabilities(found)
+        return found
+
+    def protection(self) -> tuple[float, float]:
+        """Return the protection levels of now, horizontal and vertical, m.
+
+        NaN where the fault hypotheses do not decide, or there is no position.
+        """
+        find_levels(self.x, self.k, address(self.w))
+        return float(self.w.protection.horizontal), float(self.w.protection.vertical)
+
+    def evidence(self) -> np.ndarray:
+        """Return what was thought of each source over time, shape (n, 3 + SOURCES).
+
+        In order of time, once a second or less often: stamp (ns), horizontal and vertical
+        protection level (m; NaN: none), and how probable it was of each source that it is wrong.
+        """
+        return np.array(self.evidence_table[: self.evidence_size])
 
     @property
     def reset_reason(self) -> int:

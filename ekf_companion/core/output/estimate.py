@@ -8,6 +8,7 @@ from cython.cimports.ekf_companion.core.filter.rotation import rotate, to_dcm, w
 from cython.cimports.ekf_companion.core.filter.slow_error import add_spread, copy_moving
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
 from cython.cimports.ekf_companion.core.filter.update import copy_nominal
+from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
@@ -90,8 +91,37 @@ def find_status(x: State, reasons: int) -> int:
     return STATUS_DEGRADED if reasons else STATUS_OK
 
 
-def find_reasons(x: State, k: Parameters) -> int:
+def mix(x: State, k: Parameters, w: Scratch) -> bool:
+    """Return whether the fault hypotheses decide: then their bank holds what their mixture adds."""
+    if not w.observation.has_bank or k.weighs_faults != WEIGH_ACT or x.mode != MODE_NAVIGATE:
+        return False
+    repair.mix(x, k, address(w.observation.bank[0]))
+    return True
+
+
+def find_reasons(x: State, k: Parameters, w: Scratch) -> int:
     """Return why a state that navigates is not OK, as bits: a :class:`~.nav.state.Reason`."""
+    if mix(x, k, w):
+        return judge_spread(x, k, address(w.observation.bank[0])) | judge_state(x, k)
+    return judge_state(x, k)
+
+
+def judge_spread(x: State, k: Parameters, b: Bank) -> int:
+    """Return the reasons that follow from what is stated, with how far the hypotheses are apart."""
+    reasons = cython.declare(cython.int, 0)
+    var = 0.0
+    for e in range(E_POS, E_POS + 2):
+        var += x.P[e][e] + b.spread[e][e]
+    if not var <= k.limit_pos * k.limit_pos:
+        reasons |= REASON_UNCERTAIN
+    for e in range(E_ATT, E_ATT + 3):
+        if x.P[e][e] + b.spread[e][e] > VAGUE_VAR:
+            reasons |= REASON_ATTITUDE
+    return reasons
+
+
+def judge_state(x: State, k: Parameters) -> int:
+    """Return the reasons that follow from the state alone."""
     reasons = cython.declare(cython.int, 0)
     if x.mode != MODE_NAVIGATE:
         return reasons
@@ -166,14 +196,13 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     What is not known yet is NaN.
     """
     m = address(w.motion)
-    reasons = find_reasons(x, k)
+    reasons = find_reasons(x, k, w)
     status = find_status(x, reasons)
     copy_nominal(y, x)
     y.origin = x.origin
     copy_moving(y, x)
-    if k.weighs_faults == WEIGH_ACT and x.mode == MODE_NAVIGATE:
+    if mix(x, k, w):
         b = address(w.observation.bank[0])
-        repair.mix(x, k, b)
         add_spread(y, b)
         rotate(y.q_nb, b.mean[0], b.mean[1], b.mean[2])
         for i in range(3):

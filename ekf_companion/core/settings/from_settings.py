@@ -78,6 +78,7 @@ def parameters(
     k.gravity = STANDARD_GRAVITY
     k.keeps_bias = habit.keeps_bias
     k.weighs_faults = ("off", "report", "act").index(settings.weigh_faults)
+    k.risk = settings.integrity.risk
     for fault, prior in FAULTS.items():
         of = k.fault[fault]
         of.rows, of.std, of.tail, of.rate = prior.rows, prior.std, prior.tail, prior.rate

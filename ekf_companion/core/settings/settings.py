@@ -304,6 +304,17 @@ class GateSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class IntegritySettings:
+    """How surely the error is within what is published of it."""
+
+    risk: Annotated[float, Meta(gt=0.0, le=0.5), Setting(reload=True)] = 1e-3
+    """Probability with which the error exceeds the protection level, which is published where
+    weigh_faults is act. The odds of faults are known to a factor of two or so, and errors of
+    sensors are no normal distribution far out: so one of a thousand can be shown by flights, and
+    rarer ones are a matter of belief."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSettings:
     """The settings of the estimator."""
 
@@ -314,6 +325,7 @@ class FilterSettings:
     range_finder: RangeFinderSettings = field(default_factory=RangeFinderSettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     gate: GateSettings = field(default_factory=GateSettings)
+    integrity: IntegritySettings = field(default_factory=IntegritySettings)
     window: Annotated[float, Meta(ge=0.1, le=10.0), Setting("s")] = 2.0
     """How late a measurement may come and still take its place in time. Longer takes memory and,
     where measurements are that late, time."""

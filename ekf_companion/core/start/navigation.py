@@ -33,6 +33,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     NEEDS_TILT,
     RESET_GAP,
     VERDICT_FUSED,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Scratch
@@ -40,6 +41,7 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.start import align, yaw_reset
 from cython.cimports.ekf_companion.core.trust import slide
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset, count_verdict, note_used
+from cython.cimports.ekf_companion.core.trust.shape import take_off
 
 LEAST_YAW_VAR = cython.declare(cython.double, 2.5e-3)
 """Variance of a heading found in motion, beside what the bank says, rad^2: in a steady turn a bias
@@ -156,6 +158,8 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
     reset_variance(x, E_GNSS, 2, x.gnss_offset_var[0])
     reset_variance(x, E_POS, 2, ANY)
     gnss.position(x, k, address(w.fix), o)
+    if o.has_bank:
+        take_off(x, o, AID_POSITION)
     for i in range(2):
         x.pos_n[i] += o.z[i]
         x.moved.pos_n[i] += o.z[i]
@@ -177,6 +181,8 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     reset_variance(x, E_GNSS + 2, 1, x.gnss_offset_var[1])
     reset_variance(x, E_POS + 2, 1, ANY)
     gnss.height(x, k, address(w.fix), o)
+    if o.has_bank:
+        take_off(x, o, AID_HEIGHT)
     x.pos_n[2] += o.z[0]
     x.moved.pos_n[2] += o.z[0]
     o.z[0] = 0.0
@@ -197,9 +203,14 @@ def forget_vel_offset(x: State) -> None:
 def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
     """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s."""
     o = address(w.observation)
-    forget_vel_offset(x)
+    if k.weighs_faults == WEIGH_ACT:  # a declared fault lives on in it
+        reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
+    else:
+        forget_vel_offset(x)
     reset_variance(x, E_VEL, 3, ANY)
     gnss.velocity(x, k, address(w.fix), o)
+    if o.has_bank:
+        take_off(x, o, AID_VELOCITY)
     for i in range(o.rows):
         x.vel_n[i] += o.z[i]
         x.moved.vel_n[i] += o.z[i]

@@ -139,8 +139,10 @@ def tell(x: State, b: Bank, h: Instance) -> None:
         b.found[last].kind = h.kind
         b.found[last].onset = h.t0
     b.found[last].until = x.t
+    b.found[last].evidence = h.evidence
     for c in range(3):
         b.found[last].b[c] = h.b[c]
+        b.found[last].var[c] = h.M[c][c]
 
 
 def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:

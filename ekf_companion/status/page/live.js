@@ -162,6 +162,10 @@ function showState(status) {
     ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
       name, wordsOf(name, aid), aid.state === "used" || name === "rest" ? "" : "bad"]),
     ["sigma", estimator ? `${fixed(estimator.std_horizontal, 2)} m horizontal, ${fixed(estimator.std_vertical, 2)} m vertical` : ""],
+    ["protection level", isKnown(estimator?.protection_horizontal) ? `${fixed(estimator.protection_horizontal, 1)} m horizontal, ${fixed(estimator.protection_vertical, 1)} m vertical` : ""],
+    ["suspected", (estimator?.suspected ?? []).join("; "), "bad"],
+    ["may be wrong", probabilities(estimator)],
+    ["faults found", (estimator?.found ?? []).join("; "), "bad"],
     ["resets", resets || "none", resets ? "bad" : ""],
     ["link", `${link.url}${link.is_open ? "" : ", closed"}`, link.is_open ? "now" : "bad"],
     ["lost frames", String(status.frames.lost)],
@@ -173,6 +177,12 @@ function showState(status) {
   ]);
   showStages(status);
   showRates(status.messages, isOld);
+}
+
+/** How probable it is of each source that it is wrong, from a hundredth on. */
+function probabilities(estimator) {
+  return Object.entries(estimator?.faults ?? {}).filter(([, p]) => p >= 0.01).sort(([, a], [, b]) => b - a)
+    .map(([source, p]) => `${source.replaceAll("_", " ")} ${fixed(100 * p, 0)} %`).join(", ");
 }
 
 /** The verdict before take-off; after it, whether all works. */
