@@ -44,8 +44,11 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
     Fault.LEVER: ("antenna {:.2f} m from where it is set", 1.0),
     Fault.SETTLE: ("GNSS position {:.1f} m off at first", 1.0),
     Fault.SETTLE_HEIGHT: ("GNSS height {:.1f} m off at first", 1.0),
-    Fault.RECOVERY: ("GNSS position and velocity right again", 1.0),
-    Fault.RECOVERY_HEIGHT: ("GNSS height and vertical velocity right again", 1.0),
+    Fault.RECOVERY: ("GNSS position and velocity right again, by {:.0f} % of its error", 100.0),
+    Fault.RECOVERY_HEIGHT: (
+        "GNSS height and vertical velocity right again, by {:.0f} % of its error",
+        100.0,
+    ),
 }
 """What each is called, and its size in the unit of the words."""
 

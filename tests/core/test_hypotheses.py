@@ -145,6 +145,52 @@ def test_what_is_named_is_repaired(kind, column, step, slope):
     assert np.all(np.abs(off[3:]) < 0.3)
 
 
+@pytest.mark.parametrize("seconds", [0.0, 5.0], ids=["at once", "within seconds"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_ends_is_not_held(seconds, seed):
+    """A receiver that was 40 m off is right again, and nothing is taken off it any more."""
+    events, _ = flight("figure-eight", 90.0, seed=seed)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    values = events.values.copy()
+    share = np.where(t < 50.0, 1.0, np.exp(-(t - 50.0) / seconds) if seconds else 0.0)
+    mask = (events.kind == Kind.GNSS) & (t > BEGIN)
+    values[mask, 0] += 40 * METRE * share[mask]
+    right = pipeline("act").run(events).values[-1]
+    one = pipeline("act")
+    wrong = one.run(Events(t_ns=events.t_ns, kind=events.kind, values=values)).values[-1]
+    assert one.found_faults()
+    assert np.all(np.abs(wrong[3:6] - right[3:6]) < np.maximum(3.0 * wrong[23:26], 1.0))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_one_fault_in_all_axes_is_not_taken_for_two(seed):
+    """What a level and a vertical fault would both explain counts for one of them."""
+    events, _ = flight("figure-eight", END, seed=seed)
+    values = events.values.copy()
+    mask = (events.kind == Kind.IMU) & between(events, BEGIN, END)
+    values[mask, 3:6] += np.array([-0.16, 0.04, 0.24])
+    told = found(Events(t_ns=events.t_ns, kind=events.kind, values=values), "act")
+    assert FAULTS[told[0][0].kind].source == Source.ACCEL
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_descent_of_the_receiver_alone_is_no_fault_of_the_barometer(seed):
+    """Its height and vertical velocity fall away for 12 s, faster and slower, in a hover."""
+    events, _ = flight("hover", END, seed=seed)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    since = np.clip(t - BEGIN, 0.0, 12.0)
+    values = events.values.copy()
+    mask = events.kind == Kind.GNSS
+    values[mask, 5] += (7.0 * np.sin(np.pi * since / 12.0) ** 2)[mask]
+    values[mask, 2] -= 3.5 * (since - 6.0 / np.pi * np.sin(np.pi * since / 6.0))[mask]
+    right = pipeline("act").run(events).values[-1]
+    one = pipeline("act")
+    wrong = one.run(Events(t_ns=events.t_ns, kind=events.kind, values=values)).values[-1]
+    sources = {FAULTS[fault.kind].source for fault in one.found_faults()}
+    assert sources <= {Source.HEIGHT, Source.CLIMB, Source.FALL}
+    assert abs(wrong[5] - right[5]) < max(3.0 * wrong[25], 2.0)
+
+
 def test_each_fault_has_its_numbers_and_its_words():
     assert set(FAULTS) == set(Fault)
     named = {kind for kind, prior in FAULTS.items() if prior.source != Source.NOISE}

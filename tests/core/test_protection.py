@@ -77,8 +77,8 @@ def sampled(pipeline: Pipeline, count: int, seed: int) -> tuple[np.ndarray, np.n
 
     def drawn(which: Shows, size: int, whole: float) -> np.ndarray:
         odds = np.where(shows == which, p, 0.0) / whole
-        odds[-1] = 1.0 - odds.sum()
-        return rng.choice(len(p), size, p=odds)
+        odds[-1] = max(1.0 - odds.sum(), 0.0)
+        return rng.choice(len(p), size, p=odds / odds.sum())
 
     everywhere = p[shows == Shows.ALL].sum()
     n = rng.binomial(count, everywhere)
