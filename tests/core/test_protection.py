@@ -76,7 +76,7 @@ def sampled(pipeline: Pipeline, count: int, seed: int) -> tuple[np.ndarray, np.n
     means, roots = np.array([*means, np.zeros(3)]), np.array([*roots, np.zeros((3, 3))])
 
     def drawn(which: Shows, size: int, whole: float) -> np.ndarray:
-        odds = np.where(shows == which, p, 0.0) / whole
+        odds = np.where(shows == which, p, 0.0) / max(whole, 1e-300)
         odds[-1] = max(1.0 - odds.sum(), 0.0)
         return rng.choice(len(p), size, p=odds / odds.sum())
 
