@@ -161,11 +161,14 @@ class Pipeline:
         lat, lon, alt, offset = origin.later(age, self._slow_time)
         self._timeline.set_origin(lat, lon, alt, np.array(offset))
 
-    def found_faults(self) -> list[FoundFault]:
-        """Return the faults that were beyond doubt so far; none without ``weigh_faults``."""
+    def found_faults(self, *, is_now: bool = False) -> list[FoundFault]:
+        """Return the faults that were beyond doubt so far; none without ``weigh_faults``.
+
+        ``is_now``: only those since the autopilot's clock last began anew.
+        """
         return [
             FoundFault(Fault(kind), onset, until, size, std, evidence)
-            for kind, onset, until, size, std, evidence in self._timeline.found()
+            for kind, onset, until, size, std, evidence in self._timeline.found(is_now)
         ]
 
     def fault_evidence(self) -> FaultEvidence:
@@ -216,9 +219,7 @@ class Pipeline:
         """Return the filter's own account of itself."""
         x, now = as_state(self._timeline.block()), as_estimate(self.values())
         arrivals = self._timeline.arrivals
-        # those of a clock that has begun anew since are of no time of this one
-        faults = [one for one in self.found_faults() if one.until_ns <= self.stamp_ns]
-        probability = self._timeline.suspected()
+        probability, faults = self._timeline.suspected(), self.found_faults(is_now=True)
         suspected = suspicions(probability, decides=self._decides)
         levels = self._timeline.protection()
         return Health(

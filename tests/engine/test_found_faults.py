@@ -172,7 +172,7 @@ def test_what_was_found_outlives_a_reboot_and_the_hypotheses_do_not(mode):
     (before,) = one.found_faults()
     one.process_row((0, int(Kind.RESTART), (0.0,) * 13))
     assert one._timeline.hypotheses() == []
-    later, _ = flight("figure-eight", 20.0, seed=2)
+    later, _ = flight("figure-eight", 50.0, seed=2)
     again, fresh = one.run(later), Pipeline(replace(SETTINGS, weigh_faults=mode)).run(later)
     assert one.found_faults() == [before]
     assert one.health().found == ()

@@ -866,14 +866,15 @@ class Timeline:
                 held.append((int(h.kind), float(h.p), onset, (h.b[0], h.b[1], h.b[2])))
         return held
 
-    def found(self) -> list[tuple[int, int, int, Vector3, Vector3, float]]:
-        """Return the faults that were beyond doubt.
+    def found(self, is_now: bool = False) -> list[tuple[int, int, int, Vector3, Vector3, float]]:
+        """Return the faults that were beyond doubt; or only those by the clock of now.
 
         Of each: kind, onset, until when (stamps, ns), size and one sigma of that by component, and
         the log-likelihood beside that of no fault, then.
         """
         told = []
-        for epoch, table in [*self.banks_before, (self.epoch_ns, np.asarray(self.bank_table))]:
+        before = [] if is_now else self.banks_before
+        for epoch, table in [*before, (self.epoch_ns, np.asarray(self.bank_table))]:
             numbers: Table[np.float64] = table
             for i in range(as_banks(numbers)[0].finds if self.w.observation.has_bank else 0):
                 one = address(as_banks(numbers)[0].found[i])
