@@ -19,11 +19,12 @@ import numpy as np
 
 from benchmarks import lidar_memory
 from benchmarks.document import table
+from ekf_companion.lidar.calibration import calibrate
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.solution import Solution, calibrated, levelled
+from ekf_companion.lidar.solution import Solution, levelled
 from ekf_companion.lidar.state import exp
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -123,8 +124,11 @@ def run(case: Case) -> tuple[Solution, list[float]]:
     settings = case.settings(
         Settings(least_range=calib["range_min_m"], most_range=calib["range_max_m"])
     )
-    recording, settings, delay = calibrated(case.change(read(path)), settings)
-    odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
+    recording = case.change(read(path))
+    known = calibrate(recording, settings)
+    odometry = Odometry(
+        recording.inertial, known.mounting, settings, delay=known.delay, calibration=known.P
+    )
     estimates, spent = [], []
     for scan in recording.scans:
         begin = time.process_time()

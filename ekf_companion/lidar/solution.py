@@ -6,14 +6,15 @@ World: the body at the first pose, turned so that the last estimate of gravity p
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ekf_companion.lidar.calibration import calibrate
 from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, N, exp, log
+from ekf_companion.lidar.state import ATT, POS, VEL, N, exp
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
@@ -22,20 +23,6 @@ NAMED = 1.0
 """Shortest time without hold that is named, s."""
 POOR = 0.01
 """Share of the way that its own sigma may be in a good result: what odometry is bought for."""
-BEGINNING = 20.0
-"""Part of a recording by which mounting and delay are found, s."""
-LEFT = 0.1
-"""Share of a sigma that these leave: more than a pass comes to, so that nothing counts twice."""
-HELD = 3.0
-"""Beginning of a pass in which neither is looked for, s."""
-PASSES = 8
-"""Over it, at most."""
-TURNING = 0.2
-"""Rate of a turn that shows mounting and delay, rad/s: ten times what noise and bias are."""
-LOST = 4.0
-"""Sigmas that were asked for beyond which what is found is not believed."""
-SETTLED_TURN, SETTLED_DELAY = np.radians(0.05), 3e-4
-"""Change of a pass below which it is the last, rad and s."""
 LEAST_SIGMA = 0.1
 """Own sigma below which a result is good however short the way, m."""
 
@@ -171,8 +158,10 @@ class Solution:
 
 def solve(recording: Recording, settings: Settings) -> Solution:
     """Return the trajectory of a recording."""
-    recording, settings, delay = calibrated(recording, settings)
-    odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
+    found = calibrate(recording, settings)
+    odometry = Odometry(
+        recording.inertial, found.mounting, settings, delay=found.delay, calibration=found.P
+    )
     estimates: list[Estimate] = []
     for scan in recording.scans:
         estimates += odometry.process(scan)
@@ -186,69 +175,6 @@ def solve(recording: Recording, settings: Settings) -> Solution:
         C_level=C_level,
         points=odometry.map.points() @ C_level.T,
     )
-
-
-def calibrated(recording: Recording, settings: Settings) -> tuple[Recording, Settings, float]:
-    """Return recording and settings with the mounting and the delay that its first turns show.
-
-    What was found is the next guess, until it stays, as points of the map are where the guess puts
-    them; each time with the sigmas that were asked for.
-    """
-    delay = 0.0
-    if not (settings.is_mounting_estimated or settings.delay_sigma > 0.0):
-        return recording, settings, delay
-    begin = _first_turn(recording)
-    asked = recording.mounting
-    is_found = False
-    # As they were guessed, until there is a map to compare with
-    held = replace(settings, is_mounting_estimated=False, delay_sigma=0.0)
-    for _ in range(PASSES):
-        odometry = Odometry(recording.inertial, recording.mounting, held, delay)
-        until = HELD
-        start = None
-        for scan in recording.scans:
-            if scan.stamp > begin + BEGINNING:
-                break
-            if scan.stamp < begin:
-                continue
-            start = scan.stamp if start is None else start
-            if scan.stamp - start > until:
-                odometry.release(asked, settings)
-                until = np.inf
-            odometry.process(scan)
-        x, before = odometry.x, recording.mounting
-        if not odometry.map:
-            break
-        away = float(np.linalg.norm(log(asked.rotation.T @ x.C_bl)))
-        if away > LOST * asked.rotation_sigma or abs(x.delay) > LOST * settings.delay_sigma:
-            # By surroundings that show too little: elsewhere they may show more
-            recording, delay, is_found = replace(recording, mounting=asked), 0.0, False
-            begin += 0.25 * BEGINNING
-            continue
-        is_found = True
-        turned = float(np.linalg.norm(log(before.rotation.T @ x.C_bl)))
-        is_settled = turned < SETTLED_TURN and abs(x.delay - delay) < SETTLED_DELAY
-        recording = replace(recording, mounting=replace(asked, rotation=x.C_bl, position=x.pos_b))
-        delay = x.delay
-        if is_settled:
-            break
-    if is_found:
-        # The same scans come again: enough is left for them to show it all
-        mounting = replace(
-            recording.mounting,
-            rotation_sigma=LEFT * asked.rotation_sigma,
-            position_sigma=LEFT * asked.position_sigma,
-        )
-        recording = replace(recording, mounting=mounting)
-        settings = replace(settings, delay_sigma=LEFT * settings.delay_sigma)
-    return recording, settings, delay
-
-
-def _first_turn(recording: Recording) -> float:
-    """Return when the vehicle turns first, s: at rest mounting and delay show in nothing."""
-    rate = np.linalg.norm(recording.inertial.gyro, axis=1)
-    turning = np.flatnonzero(rate > TURNING)
-    return float(recording.inertial.stamp[turning[0]]) if len(turning) else -np.inf
 
 
 def levelled(down: Array) -> Array:
