@@ -32,7 +32,7 @@ from ekf_companion.lidar.state import (
     N,
     State,
 )
-from ekf_companion.lidar.update import Anchor, Update, apart, correct, first, shift_by_state
+from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_state
 from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.direction import direction_by_angles
@@ -210,8 +210,8 @@ class Odometry:
         update = correct(
             x,
             P,
-            lambda x, P, between: sum_rows(
-                some, x, P, between, self.map, self.settings, has_mounting=has_mounting
+            lambda x, P, apart: sum_rows(
+                some, x, P, apart, self.map, self.settings, has_mounting=has_mounting
             ),
             self.anchors,
             self.settings.iterations,
@@ -253,18 +253,17 @@ class Odometry:
         at = slice(first(k), first(k + 1))
         self.P[at] += share * (T @ self.P[:N] - self.P[at])
         self.P[:, at] += share * (self.P[:, :N] @ T.T - self.P[:, at])
-        number = self.anchors[k].number
-        self._put(scan, number, apart(self.x, self.P, self.anchors)[number])
+        self._put(scan, self.anchors[k].number)
 
     def _part(self) -> float:
         """Return how long the part of the map that is being made is put in, s."""
         is_first = len(self.anchors) == 1
         return self.settings.spacing * (FIRST_PART if is_first and self._is_moving else 1.0)
 
-    def _put(self, scan: Deskewed, owner: int, apart: Array | None = None) -> None:
+    def _put(self, scan: Deskewed, owner: int) -> None:
         """Put the points of a scan into the map where the state says they are."""
         variance = noise_of_points(scan.points, self.settings)
-        self.map.insert(scan.placed(self.x)[1], variance, owner, apart)
+        self.map.insert(scan.placed(self.x)[1], variance, owner)
 
     def _begin_anchor(self, stamp: float) -> None:
         """Begin another part of the map, whose error is not that of the ones before."""

@@ -88,13 +88,13 @@ def correct(
     A mounting and a delay that are held are considered, as anchors are, and not corrected.
     """
     x, sums = prior, None
-    between = apart(prior, P, anchors)
+    apart = _apart(prior, P, anchors)
     has_excess = bool(P[EXCESS, EXCESS].any())
     L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
     held = np.arange(N)[CALIBRATION if is_mounting_held else slice(0)]
     kept = np.concatenate([held, np.arange(N, len(P))])
     for iteration in range(1, iterations + 1):
-        sums = rows(x, P[:POSE, :POSE], between)
+        sums = rows(x, P[:POSE, :POSE], apart)
         if sums is None:
             return Update(prior, P, None, iteration)
         e = x.minus(prior)
@@ -135,7 +135,7 @@ def correct(
     raise AssertionError("no iterations")
 
 
-def apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
+def _apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
     """Return the covariance of the position relative to each anchor, m^2, shape (3, 3)."""
     count = len(anchors)
     if not count:

@@ -77,11 +77,7 @@ _CENTRE = 18
 _ALONG = 21
 _OFFSET = 27
 _SCATTER = 28
-_NOW = 29
-"""Points of the scan that is being put in, and their sums of x, y, z about the middle."""
-_BETWEEN = 33
-"""Sum over scans of the squares of such sums by their points: xx, yy, zz, xy, xz, yz."""
-_WIDTH = 39
+_WIDTH = 29
 
 
 class VoxelMap:
@@ -101,8 +97,6 @@ class VoxelMap:
     _slots: Table[np.int64]
     """Key and row of each voxel, where its hash or the next free place after it is; -1: free."""
     _axes: Table[np.float64]
-    _apart: Const[Table[np.float64]]
-    """Covariance of the position of the scan relative to its part of the map, m^2."""
 
     def __init__(self, settings: Settings) -> None:
         """Begin without voxels."""
@@ -123,21 +117,13 @@ class VoxelMap:
         self._changed = np.zeros(1024, dtype=np.int64)
         self._slots = np.full((2048, 2), -1, dtype=np.int64)
         self._axes = np.zeros((6, 3))
-        self._apart = np.zeros((3, 3))
 
     def __len__(self) -> int:
         """Return the number of voxels of all sizes."""
         return self.used
 
-    def insert(
-        self, points_w: Array, variance: Array, owner: int, apart: Array | None = None
-    ) -> None:
-        """Put in points, shape (n, 3), with the variance of each along any axis, shape (n,).
-
-        ``apart`` is the covariance of the position of the scan relative to that of its part of the
-        map, m^2, shape (3, 3); None: zero.
-        """
-        self._apart = np.zeros((3, 3)) if apart is None else np.ascontiguousarray(apart)
+    def insert(self, points_w: Array, variance: Array, owner: int) -> None:
+        """Put in points, shape (n, 3), with the variance of each along any axis, shape (n,)."""
         self._make_room(self.used + len(points_w) * self._levels)
         self.insert_each(np.ascontiguousarray(points_w), np.ascontiguousarray(variance), owner)
 
@@ -159,12 +145,9 @@ class VoxelMap:
                     self._marks[row] = self._insertion
                     self._changed[changed] = row
                     changed += 1
-                    for k in range(4):
-                        self._rows[row, _NOW + k] = 0.0
                 self._add(row, size, points[i, 0], points[i, 1], points[i, 2], variance[i], owner)
             size *= 2.0
         for k in range(changed):
-            self._end_scan(self._changed[k])
             self._fit(self._changed[k])
 
     def _row(self, level: int, size: float, x: float, y: float, z: float, owner: int) -> int:
@@ -216,10 +199,6 @@ class VoxelMap:
         self._rows[row, _SUMS + 7] += x * z
         self._rows[row, _SUMS + 8] += y * z
         self._rows[row, _COUNT] += 1.0
-        self._rows[row, _NOW] += 1.0
-        self._rows[row, _NOW + 1] += x
-        self._rows[row, _NOW + 2] += y
-        self._rows[row, _NOW + 3] += z
         self._rows[row, _NOISE] += variance
         cell: float = max(size / _CELLS, self._spot)
         i = cython.cast(cython.longlong, floor((x + 0.5 * size) / cell))
@@ -235,38 +214,6 @@ class VoxelMap:
         else:
             self._owners[row] = owner
             self._rows[row, _LEAD] = 1.0
-
-    def _end_scan(self, row: int) -> None:
-        """Add what a scan has put into a voxel to the squares of the scans."""
-        m, x = self._rows[row, _NOW], self._rows[row, _NOW + 1]
-        y, z = self._rows[row, _NOW + 2], self._rows[row, _NOW + 3]
-        self._rows[row, _BETWEEN] += x * x / m
-        self._rows[row, _BETWEEN + 1] += y * y / m
-        self._rows[row, _BETWEEN + 2] += z * z / m
-        self._rows[row, _BETWEEN + 3] += x * y / m
-        self._rows[row, _BETWEEN + 4] += x * z / m
-        self._rows[row, _BETWEEN + 5] += y * z / m
-
-    def _slope(self, row: int, least: int, axis: int, remaining: float) -> float:
-        """Return the variance of the slope of a plane along one of its axes."""
-        A = self._axes
-        n = self._rows[row, _COUNT]
-        # Noise is no extent: a ray that strikes the same spot again and again shows no plane
-        extent: float = max(A[axis, axis] - self._rows[row, _NOISE] / n, _LEAST_VARIANCE)
-        # What one scan sees as a line is made a plane by the motion, as far as that is known
-        u0, u1, u2 = A[3, axis], A[4, axis], A[5, axis]
-        mean = u0 * self._rows[row, _SUMS] + u1 * self._rows[row, _SUMS + 1]
-        mean = (mean + u2 * self._rows[row, _SUMS + 2]) / n
-        b = _BETWEEN
-        square = u0 * u0 * self._rows[row, b] + u1 * u1 * self._rows[row, b + 1]
-        square += u2 * u2 * self._rows[row, b + 2] + 2.0 * u0 * u1 * self._rows[row, b + 3]
-        square += 2.0 * u0 * u2 * self._rows[row, b + 4] + 2.0 * u1 * u2 * self._rows[row, b + 5]
-        between: float = max(square / n - mean * mean, 0.0)
-        drift: float = 0.0
-        for i in range(3):
-            for j in range(3):
-                drift += A[3 + i, least] * self._apart[i, j] * A[3 + j, least]
-        return remaining / extent + drift * between / (extent * extent)
 
     def _fit(self, row: int) -> None:
         """Fit the plane of a voxel."""
@@ -297,8 +244,9 @@ class VoxelMap:
         # nor does what a surface is rough or curved by
         rough: float = max(thick - expected, 0.0)
         remaining: float = max(thick, expected) / n + self._bias_var / _LASERS + rough / _PATCHES
-        first: float = self._slope(row, least, one, remaining)
-        second: float = self._slope(row, least, other, remaining)
+        # Noise is no extent: a ray that strikes the same spot again and again shows no plane
+        first: float = remaining / max(A[one, one] - expected, _LEAST_VARIANCE)
+        second: float = remaining / max(A[other, other] - expected, _LEAST_VARIANCE)
         is_plane = thick < self._thickest and max(first, second) < _LARGEST_SLOPE**2
         edge = self._size * (1 << (self._keys[row] & _LEVELS))
         for k in range(3):
