@@ -26,6 +26,7 @@ from ekf_companion.lidar.recording import Mounting, Recording
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import Solution, levelled
 from ekf_companion.lidar.state import exp
+from ekf_companion.lidar.track import Track
 
 SHARED = Path(__file__).parents[2] / "shared"
 HEAD = (
@@ -129,17 +130,18 @@ def run(case: Case) -> tuple[Solution, list[float]]:
     odometry = Odometry(
         recording.inertial, known.mounting, settings, delay=known.delay, calibration=known.P
     )
-    estimates, spent = [], []
+    track, spent = Track(), []
     for scan in recording.scans:
         begin = time.process_time()
         made = odometry.process(scan)
         spent.append(1e3 * (time.process_time() - begin) / max(len(made), 1))
-        estimates += made
+        for one in made:
+            track.add(one)
     solution = Solution(
         name=case.name,
         decisions=(),
-        estimates=estimates,
-        C_level=levelled(estimates[-1].state.down_w),
+        track=track,
+        C_level=levelled(odometry.x.down_w),
         points=np.zeros((0, 3)),
     )
     return solution, spent

@@ -134,7 +134,7 @@ class Odometry:
     @property
     def calibration(self) -> Array:
         """Return the covariance of mounting and delay, shape (7, 7)."""
-        return self.P[CALIBRATION, CALIBRATION].copy()
+        return np.array(self.P[CALIBRATION, CALIBRATION])
 
     def _begin(self) -> list[Estimate]:
         """Find the start, and take the scans that it was found by."""

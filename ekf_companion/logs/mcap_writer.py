@@ -131,9 +131,7 @@ class Writer(EstimateWriter):
             stamps = np.ascontiguousarray(stamp_ns[rows])
             behind = np.empty(len(part), dtype=np.int64)
             has_gaps = topic == "/estimate"
-            write_messages(
-                text, names, ends[rows], channel, stamps, self._text, behind, has_gaps
-            )
+            write_messages(text, names, ends[rows], channel, stamps, self._text, behind, has_gaps)
             self._mcap.add(channel, stamps, memoryview(self._text), behind)
 
     def _add_estimates(self, table: Table) -> None:
