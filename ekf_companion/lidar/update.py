@@ -120,10 +120,13 @@ def correct(
             if open_w.shape[1]:
                 less[:N] = _without(open_w, less[:N])
                 part = less[:N].copy()
+                part[held] = 0.0
                 P_after = P_here.copy()
                 P_after[:N] -= part
                 P_after[:, :N] -= part.T
-                P_after[:N, :N] += _without(open_w, part[:, :N].T).T
+                square = _without(open_w, part[:, :N].T)
+                square[held] = 0.0
+                P_after[:N, :N] += square.T
             else:
                 P_after = P_here - less
             P_after[np.ix_(kept, kept)] = P_here[np.ix_(kept, kept)]
