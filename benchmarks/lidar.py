@@ -133,7 +133,12 @@ def run(case: Case) -> tuple[Solution, list[float]]:
     recording = case.change(read(path))
     known = calibrate(recording, settings)
     odometry = Odometry(
-        recording.inertial, known.mounting, settings, delay=known.delay, calibration=known.P
+        recording.inertial,
+        known.mounting,
+        settings,
+        delay=known.delay,
+        calibration=known.P,
+        alignment=known.alignment,
     )
     track, spent = Track(), []
     for scan in recording.scans:

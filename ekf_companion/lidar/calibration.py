@@ -9,7 +9,7 @@ its guess; in the end that is taken out and the one that was asked for is put in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,8 @@ class Calibration:
     """s."""
     P: Array
     """Of rotation (vector in the lidar's frame), position and delay, shape (7, 7)."""
+    alignment: float = 0.0
+    """Sigma of the axes of the gyro, in which they are, relative to those of the body, rad."""
 
     @property
     def mounting(self) -> Mounting:
@@ -81,11 +83,9 @@ def calibrate(recording: Recording, settings: Settings) -> Calibration:
         moved, guess = made.minus(guess), made
         if (np.abs(moved) <= np.sqrt(np.diag(made.P))).all():
             break
-    P = guess.P.copy()
-    if P[TURN, TURN].any():
-        # The lidar is compared with the axes of the gyro, which are not quite those of the body
-        P[TURN, TURN] += settings.inertial_scale**2 * np.eye(3)
-    return Calibration(guess.rotation, guess.position, guess.delay, P)
+    # The lidar is compared with the axes of the gyro, which are not quite those of the body
+    alignment = settings.inertial_scale if settings.is_mounting_estimated else 0.0
+    return replace(guess, alignment=alignment)
 
 
 def _asked(mounting: Mounting, settings: Settings) -> Calibration:

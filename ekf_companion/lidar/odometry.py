@@ -26,6 +26,8 @@ from ekf_companion.lidar.state import (
     CALIBRATION,
     DOWN,
     EXCESS,
+    MOUNT_ATT,
+    MOUNT_POS,
     POS,
     POSE,
     VEL,
@@ -88,12 +90,16 @@ class Odometry:
         *,
         delay: float = 0.0,
         calibration: Array | None = None,
+        alignment: float = 0.0,
     ) -> None:
         """Begin with a mounting and a delay of the inertial stamps, s.
 
         ``calibration`` is the covariance of both, shape (7, 7); None: they are known. Until they
         are released what the map and the poses have of their error is considered, not corrected.
+        ``alignment`` is the sigma of the body's axes relative to the gyro's, rad: it shows in what
+        is returned only.
         """
+        self._alignment = alignment
         self.settings, self._mounting, self._delay = settings, mounting, delay
         self._samples: Samples = prepare(inertial)
         self.map = VoxelMap(settings)
@@ -156,7 +162,7 @@ class Odometry:
         return Estimate(
             stamp=end_l,
             state=self.x,
-            P=self.P[:N, :N].copy(),  # not with all the anchors' behind it
+            P=self.P[:N, :N] + self._alignment**2 * _square(by_axes(self.x)),
             relative=self._mark(end_l),
             match=None if update is None or update.sums is None else update.sums.match,
             clipped=clipped,
@@ -332,7 +338,25 @@ class Odometry:
         J[3:, 6:9] = -C.T
         at = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
         P = J @ self.P[np.ix_(at, at)] @ J.T
+        turned = np.vstack([skew(pos), np.eye(3) - C.T])
+        P += self._alignment**2 * _square(turned)
         return RelativePose(start=stamp0, end=stamp, C=C, pos=pos, P=0.5 * (P + P.T))
+
+
+def by_axes(x: State) -> Array:
+    """Return the derivative of the error state by a rotation of the body's axes, (27, 3).
+
+    The world is the body at the first pose, and turns with them.
+    """
+    J = np.zeros((N, 3))
+    J[ATT] = np.eye(3) - x.C_wb.T
+    J[POS], J[VEL] = skew(x.pos_w), skew(x.vel_w)
+    J[MOUNT_ATT], J[MOUNT_POS] = -x.C_bl.T, skew(x.pos_b)
+    return J
+
+
+def _square(J: Array) -> Array:
+    return np.asarray(J @ J.T)
 
 
 def recentred(x: State) -> tuple[State, Array]:

@@ -153,7 +153,12 @@ def solve(recording: Recording, settings: Settings) -> Solution:
     """Return the trajectory of a recording."""
     found = calibrate(recording, settings)
     odometry = Odometry(
-        recording.inertial, found.mounting, settings, delay=found.delay, calibration=found.P
+        recording.inertial,
+        found.mounting,
+        settings,
+        delay=found.delay,
+        calibration=found.P,
+        alignment=found.alignment,
     )
     track = Track()
     for scan in recording.scans:
