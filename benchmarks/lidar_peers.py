@@ -1,7 +1,7 @@
 """The table's rows for other programs' wheels, where they are installed: se3-lio and rko_lio.
 
-Both run at their defaults, with the ranges, the mounting and the voxel of the scan of ours, one
-thread, from rest, as both take it. They are no dependency of this project: se3-lio is under the
+Both run at their defaults, with the ranges and the mounting of ours, one thread, from rest, as both
+take it. They are no dependency of this project: se3-lio is under the
 GPL. ``pip install se3-lio pydantic rko_lio`` brings them.
 """
 
@@ -37,12 +37,10 @@ def _mounting(recording: Recording) -> Array:
     return T
 
 
-def _se3(recording: Recording, settings: Settings) -> Step:
+def _se3(recording: Recording, _: Settings) -> Step:
     """Return a step of se3-lio."""
     module = importlib.import_module("se3_lio")
-    odometry = module.SE3LIO(
-        module.SE3LIOConfig(downsample_resolution=settings.scan_voxel), _mounting(recording)
-    )
+    odometry = module.SE3LIO(module.SE3LIOConfig(), _mounting(recording))
 
     def step(scan: Scan, points: Array, times: Array, imu: Array) -> tuple[Array, Array | None]:
         state, _ = odometry.register_frame(points, times, imu, scan.stamp)
