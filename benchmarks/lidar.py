@@ -9,28 +9,32 @@ import importlib.util
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from benchmarks import lidar_memory
+from benchmarks import lidar_memory, lidar_peers
 from benchmarks.document import table
+from ekf_companion.lidar.calibration import calibrate
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.solution import Solution, calibrated, levelled
+from ekf_companion.lidar.solution import Solution, levelled
 from ekf_companion.lidar.state import exp
+from ekf_companion.lidar.track import Track
 
 SHARED = Path(__file__).parents[2] / "shared"
 HEAD = (
     "sequence | ATE start, 4 dof, 6 dof, m | RPE 10 m, % | NEES relative: position, rotation | "
     "NEES global | own sigma, m | ms a scan, p95"
 )
+SEQUENCES = ("room_walk", "street_drive", "forest_flight", "tunnel_run", "plain_flight")
 TURN = np.radians(2.8) * np.array([0.6, -0.64, 0.48])
 SHIFT = np.array([0.03, -0.02, 0.02])
 """A mounting that is wrong by 2.8 deg and 4 cm."""
@@ -94,7 +98,7 @@ def same(value: Any) -> Any:
 
 def cases() -> Iterator[Case]:
     """Yield what is run."""
-    for name in ("room_walk", "street_drive", "forest_flight", "tunnel_run", "plain_flight"):
+    for name in SEQUENCES:
         yield Case(name, name, same, same)
         yield Case(f"{name}, map known", name, same, lambda s: replace(s, anchors=0))
         yield Case(f"{name}, short map", name, same, lambda s: replace(s, anchors=2))
@@ -116,26 +120,38 @@ def cases() -> Iterator[Case]:
         yield Case(f"{name}, clipped", name, lambda r: clipped(cropped(r)), same)
 
 
+def ranges(path: Path) -> Settings:
+    """Return the settings that the lidar of a sequence says."""
+    calib = json.loads((path / "calib.json").read_text(encoding="utf-8"))
+    return Settings(least_range=calib["range_min_m"], most_range=calib["range_max_m"])
+
+
 def run(case: Case) -> tuple[Solution, list[float]]:
     """Return the solution of a case, and the time of each scan, ms."""
     path = SHARED / "data" / "lidar" / case.sequence
-    calib = json.loads((path / "calib.json").read_text(encoding="utf-8"))
-    settings = case.settings(
-        Settings(least_range=calib["range_min_m"], most_range=calib["range_max_m"])
+    settings = case.settings(ranges(path))
+    recording = case.change(read(path))
+    known = calibrate(recording, settings)
+    odometry = Odometry(
+        recording.inertial,
+        known.mounting,
+        settings,
+        delay=known.delay,
+        calibration=known.P,
+        alignment=known.alignment,
     )
-    recording, settings, delay = calibrated(case.change(read(path)), settings)
-    odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
-    estimates, spent = [], []
+    track, spent = Track(), []
     for scan in recording.scans:
         begin = time.process_time()
         made = odometry.process(scan)
         spent.append(1e3 * (time.process_time() - begin) / max(len(made), 1))
-        estimates += made
+        for one in made:
+            track.add(one)
     solution = Solution(
         name=case.name,
         decisions=(),
-        estimates=estimates,
-        C_level=levelled(estimates[-1].state.down_w),
+        track=track,
+        C_level=levelled(odometry.x.down_w),
         points=np.zeros((0, 3)),
     )
     return solution, spent
@@ -158,14 +174,31 @@ def row(case: Case, score: ModuleType) -> str:
     path = str(SHARED / "data" / "lidar" / case.sequence)
     found = score.score(path, solution.poses, solution.covariances())
     apart = score.score_relative(path, solution.relatives())
+    return line(case.name, found, apart, f"{solution.sigma:.2g}", spent)
+
+
+def line(name: str, found: Any, apart: Any, sigma: str, spent: Sequence[float]) -> str:
+    """Return a row of the table; a dash stands for what is not given."""
     ate = ", ".join(f"{found[f'ate_{kind}_m']:.3f}" for kind in ("start", "4dof", "6dof"))
     rpe = found["rpe"].get("10", {}).get("percent", float("nan"))
     nees = [
         f"{one['nees_position']['mean']:.2g}, {one['nees_rotation']['mean']:.2g}"
+        if "nees_position" in one
+        else "-"
         for one in (apart, found)
     ]
     cost = f"{np.mean(spent):.0f}, {np.percentile(spent, 95):.0f}"
-    return " | ".join([case.name, ate, f"{rpe:.2f}", *nees, f"{solution.sigma:.2g}", cost])
+    return " | ".join([name, ate, f"{rpe:.2f}", *nees, sigma, cost])
+
+
+def peers(score: ModuleType, wanted: str) -> Iterator[str]:
+    """Yield the rows of other programs."""
+    for sequence in SEQUENCES:
+        for peer in lidar_peers.PEERS:
+            if wanted in (name := f"{sequence}, {peer}"):
+                path = SHARED / "data" / "lidar" / sequence
+                poses, covariances, spent = lidar_peers.run_apart(peer, path, ranges(path))
+                yield line(name, score.score(str(path), poses, covariances), {}, "-", spent)
 
 
 def main() -> None:
@@ -173,8 +206,11 @@ def main() -> None:
     if not (SHARED / "data" / "lidar").is_dir():
         raise SystemExit(f"{SHARED}/data/lidar is not here")
     score, wanted = scorer(), sys.argv[1] if len(sys.argv) > 1 else ""
-    for line in table(HEAD, (row(case, score) for case in cases() if wanted in case.name)):
-        print(line, flush=True)
+    for sentence in lidar_peers.missing():
+        print(sentence, flush=True)
+    ours = (row(case, score) for case in cases() if wanted in case.name)
+    for one in table(HEAD, chain(ours, peers(score, wanted))):
+        print(one, flush=True)
     if wanted in ("", "memory"):
         lidar_memory.main()
 

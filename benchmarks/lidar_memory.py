@@ -18,6 +18,7 @@ from benchmarks.document import table
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
 from ekf_companion.lidar.settings import Settings
+from ekf_companion.lidar.track import Track
 from sim_autopilot.lidar.motion import Motion
 from sim_autopilot.lidar.record import TICK, UNIT, Simulated, simulate
 from sim_autopilot.lidar.worlds import Array, World
@@ -83,15 +84,15 @@ def parts(simulated: Simulated) -> Iterator[Any]:
 
 def measure(path: Path, *, is_kept: bool) -> tuple[int, float, float]:
     """Return number of scans, memory after the beginning and its growth to the end, MB."""
-    kept, count, before = [], 0, 0.0
+    track, count, before = Track(), 0, 0.0
     with path.open("rb") as file:
         inertial, mounting = pickle.load(file)
         odometry = Odometry(inertial, mounting, Settings())
         while (scan := pickle.load(file)) is not None:
             made = odometry.process(scan)
             count += 1
-            if is_kept:
-                kept += made
+            for one in made if is_kept else ():
+                track.add(one)
             if scan.stamp < BEGINNING:
                 before = resident()
     return count, before, resident() - before

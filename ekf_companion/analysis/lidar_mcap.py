@@ -72,7 +72,7 @@ def _messages(solution: Solution) -> Iterator[tuple[str, float, dict[str, Any]]]
         names = {"parent_frame_id": FRAME, "child_frame_id": BODY}
         yield "/tf", stamp, {**names, "translation": position, "rotation": turn}
         yield "/estimate", stamp, dict(numbers)
-    last = solution.estimates[-1].stamp
+    last = float(solution.track.stamp[-1])
     fields = [
         {"name": axis, "offset": 4 * k, "type": schema.FLOAT32} for k, axis in enumerate("xyz")
     ]

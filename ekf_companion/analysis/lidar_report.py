@@ -54,7 +54,7 @@ def page(solution: Solution) -> str:
         sheet,
         sections,
         name=solution.name,
-        when=f"{span:.0f} s, {len(solution.estimates)} scans",
+        when=f"{span:.0f} s, {len(solution.track)} scans",
         grade=verdict.partition(":")[0],
         verdict=verdict,
         head="",
@@ -92,45 +92,34 @@ def _three(names: str, values: Array, t_ns: Stamps) -> list[tuple[str, Stamps, A
 
 
 def _sigmas(solution: Solution, sheet: Sheet, t_ns: Stamps) -> list[Any]:
-    C = solution.C_level
-    vel = np.array([C @ one.state.vel_w for one in solution.estimates])
-
-    def sigma(block: slice, turn: Array) -> Array:
-        each = [np.diag(turn @ one.P[block, block] @ turn.T) for one in solution.estimates]
-        return np.sqrt(np.maximum(each, 0.0))
-
+    vel = solution.track.vel_w @ solution.C_level.T
     return [
         *sheet.lines("velocity", "m/s", _three("x y z", vel, t_ns)),
-        *sheet.lines("sigma of position", "m", _three("x y z", sigma(POS, C), t_ns)),
-        *sheet.lines("sigma of velocity", "m/s", _three("x y z", sigma(VEL, C), t_ns)),
+        *sheet.lines("sigma of position", "m", _three("x y z", solution.sigmas(POS), t_ns)),
+        *sheet.lines("sigma of velocity", "m/s", _three("x y z", solution.sigmas(VEL), t_ns)),
         *sheet.lines(
             "sigma of attitude",
             "deg",
-            _three("roll pitch yaw", np.degrees(sigma(ATT, np.eye(3))), t_ns),
+            _three("roll pitch yaw", np.degrees(solution.sigmas(ATT)), t_ns),
         ),
     ]
 
 
 def _holds(solution: Solution, sheet: Sheet, t_ns: Stamps) -> list[Any]:
     """Return what a scan by itself holds: of the three directions the least held one first."""
-    nothing = np.full(3, np.nan)
-    matches = [one.match for one in solution.estimates]
-    hold = np.array([nothing if one is None else one.hold for one in matches])
-    open_axes = np.array([3 if one is None else one.open_w.shape[1] for one in matches])
-    names = "least middle most"
+    track, names = solution.track, "least middle most"
     return [
-        *sheet.lines("share that is more than noise", "", _three(names, hold, t_ns)),
-        *sheet.lines("directions without hold", "", [("of three", t_ns, open_axes * 1.0, _OPEN)]),
+        *sheet.lines("share that is more than noise", "", _three(names, track.hold, t_ns)),
+        *sheet.lines("directions without hold", "", [("of three", t_ns, track.open_axes, _OPEN)]),
     ]
 
 
 def _matches(solution: Solution, sheet: Sheet, t_ns: Stamps) -> list[Any]:
-    matches = [one.match for one in solution.estimates]
-    used = np.array([0.0 if one is None else one.used for one in matches])
-    rms = np.array([np.nan if one is None else one.rms for one in matches])
-    rounds = np.array([float(one.evaluations) for one in solution.estimates])
+    track = solution.track
     return [
-        *sheet.lines("points on planes of the map", "", [("used", t_ns, used, _WAY)]),
-        *sheet.lines("innovations in their sigmas, RMS", "", [("RMS", t_ns, rms, _WAY)]),
-        *sheet.lines("evaluations of the update", "", [("evaluations", t_ns, rounds, _WAY)]),
+        *sheet.lines("points on planes of the map", "", [("used", t_ns, track.used, _WAY)]),
+        *sheet.lines("innovations in their sigmas, RMS", "", [("RMS", t_ns, track.rms, _WAY)]),
+        *sheet.lines(
+            "evaluations of the update", "", [("evaluations", t_ns, track.evaluations, _WAY)]
+        ),
     ]

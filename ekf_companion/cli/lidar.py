@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -12,7 +12,9 @@ from ekf_companion.cli.progress import progress_line
 from ekf_companion.errors import ConfigError, LogError, require
 
 if TYPE_CHECKING:
-    from ekf_companion.lidar.recording import Mounting
+    from ekf_companion.lidar.recording import Mounting, Recording
+    from ekf_companion.lidar.settings import Settings
+    from ekf_companion.lidar.solution import Solution
 
 FORMS = (".tum", ".csv", ".mcap")
 FILTERS: dict[str, dict[str, Any]] = {
@@ -77,72 +79,30 @@ def lidar(
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Estimate a lidar's way with an honest covariance, from its scans and inertial samples."""
-    from dataclasses import replace
-
-    import numpy as np
-
-    from ekf_companion.analysis import lidar_mcap, lidar_report
     from ekf_companion.lidar.readers import read
-    from ekf_companion.lidar.settings import Settings
-    from ekf_companion.lidar.solution import lines_of, solve
-    from ekf_companion.logs.writer import create
+    from ekf_companion.lidar.solution import solve
 
     with terminal.exit_on_error():
-        outputs = [("--out", out) for out in outs or []]
-        named = (("--rel", rel), ("--cov", cov), ("--map", cloud), ("--report", report))
-        outputs += [(name, path) for name, path in named if path is not None]
-        terminal.check_outputs({"the recording": recording}, list(outputs))
-        for out in outs or []:
-            if out.suffix not in FORMS:
-                raise ConfigError(f"--out: {out}: is a .tum, .csv or .mcap; name one of them")
-            if out.suffix == ".mcap":
-                require("formats", "an .mcap", "mcap.writer")
-        if wrong := set(find or []) - {"mounting", "delay"}:
-            raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
-        if report is not None:
-            if report.suffix.lower() not in (".html", ".htm"):
-                raise ConfigError(f"--report: {report}: is a .html")
-            require("report", "--report", "bokeh")
-        if form not in FILTERS:
-            raise ConfigError(f"--filter: {form}: is anchors, lins or fast-lio")
+        outputs = [Output("--out", out, out.suffix) for out in outs or []]
+        named = (
+            Output("--rel", rel, "rel"),
+            Output("--cov", cov, "cov"),
+            Output("--map", cloud, "ply"),
+            Output("--report", report, ".html"),
+        )
+        outputs += [one for one in named if one.path is not None]
+        _check_outputs(recording, outputs)
+        settings = _settings(find or [], form, nearest, farthest)
         if stamp not in (None, "start", "middle", "end"):
             raise ConfigError(f"--stamp: {stamp}: is start, middle or end")
-        if nearest >= farthest:
-            raise ConfigError("--nearest: is beyond --farthest")
         pose = None if lidar_pose is None else _mounting(lidar_pose)
 
         with progress_line(recording.name):
             found = read(recording, mounting=pose, stamp=stamp, lidar=lidar_topic, imu=imu_topic)
-            if "mounting" in (find or []):
-                wide = replace(
-                    found.mounting,
-                    rotation_sigma=max(found.mounting.rotation_sigma, np.radians(LEAST_ANGLE)),
-                    position_sigma=max(found.mounting.position_sigma, LEAST_SHIFT),
-                )
-                found = replace(found, mounting=wide)
-            settings = Settings(
-                least_range=nearest,
-                most_range=farthest,
-                is_mounting_estimated="mounting" in (find or []),
-                delay_sigma=LATE if "delay" in (find or []) else 0.0,
-                **FILTERS[form],
-            )
-            solution = solve(found, settings)
-        if not solution.estimates:
+            solution = solve(_unsure(found) if settings.is_mounting_estimated else found, settings)
+        if not len(solution.track):
             raise LogError(f"{recording}: holds no scan to estimate from")
-        kinds = [(out, out.suffix) for out in outs or []]
-        kinds += [(path, kind) for path, kind in ((rel, "rel"), (cov, "cov")) if path is not None]
-        kinds += [(cloud, "ply")] if cloud is not None else []
-        for path, kind in kinds:
-            with create(path) as file:
-                if kind == ".mcap":
-                    lidar_mcap.write(solution, file)
-                    continue
-                for line in lines_of(solution, kind):
-                    file.write(f"{line}\n".encode())
-        if report is not None:
-            lidar_report.write(report, solution)
-            kinds.append((report, ".html"))
+        _write(solution, outputs)
     verdict, remarks = solution.verdict(), solution.remarks()
     data = {
         "recording": str(recording),
@@ -156,8 +116,84 @@ def lidar(
         "remarks": remarks,
     }
     terminal.show(as_json, data, [verdict, *remarks])
-    for path, _ in kinds:
-        typer.echo(f"wrote {path}", err=as_json)
+    for one in outputs:
+        typer.echo(f"wrote {one.path}", err=as_json)
+
+
+class Output(NamedTuple):
+    """A file that is asked for."""
+
+    option: str
+    path: Path | None
+    kind: str
+    """How its suffix, or else its option, says what it holds."""
+
+
+def _check_outputs(recording: Path, outputs: list[Output]) -> None:
+    """Refuse before the work what cannot be written after it."""
+    paths = [(one.option, one.path) for one in outputs if one.path is not None]
+    terminal.check_outputs({"the recording": recording}, paths)
+    for option, path, kind in outputs:
+        if option == "--out" and kind not in FORMS:
+            raise ConfigError(f"--out: {path}: is a .tum, .csv or .mcap; name one of them")
+        if kind == ".mcap":
+            require("formats", "an .mcap", "mcap.writer")
+        if option == "--report" and path is not None:
+            if path.suffix.lower() not in (".html", ".htm"):
+                raise ConfigError(f"--report: {path}: is a .html")
+            require("report", "--report", "bokeh")
+
+
+def _settings(find: list[str], form: str, nearest: float, farthest: float) -> Settings:
+    """Return the settings that the options say."""
+    from ekf_companion.lidar.settings import Settings
+
+    if wrong := set(find) - {"mounting", "delay"}:
+        raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
+    if form not in FILTERS:
+        raise ConfigError(f"--filter: {form}: is anchors, lins or fast-lio")
+    if nearest >= farthest:
+        raise ConfigError("--nearest: is beyond --farthest")
+    return Settings(
+        least_range=nearest,
+        most_range=farthest,
+        is_mounting_estimated="mounting" in find,
+        delay_sigma=LATE if "delay" in find else 0.0,
+        **FILTERS[form],
+    )
+
+
+def _unsure(recording: Recording) -> Recording:
+    """Return a recording whose mounting was measured by eye and by tape."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    mounting = replace(
+        recording.mounting,
+        rotation_sigma=max(recording.mounting.rotation_sigma, np.radians(LEAST_ANGLE)),
+        position_sigma=max(recording.mounting.position_sigma, LEAST_SHIFT),
+    )
+    return replace(recording, mounting=mounting)
+
+
+def _write(solution: Solution, outputs: list[Output]) -> None:
+    """Write what is asked for."""
+    from ekf_companion.analysis import lidar_mcap, lidar_report
+    from ekf_companion.lidar.solution import lines_of
+    from ekf_companion.logs.writer import create
+
+    for _, path, kind in outputs:
+        assert path is not None
+        if kind == ".html":
+            lidar_report.write(path, solution)
+            continue
+        with create(path) as file:
+            if kind == ".mcap":
+                lidar_mcap.write(solution, file)
+                continue
+            for line in lines_of(solution, kind):
+                file.write(f"{line}\n".encode())
 
 
 def _mounting(text: str) -> Mounting:

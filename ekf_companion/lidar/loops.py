@@ -28,6 +28,8 @@ _LEVER = 6
 """Last columns of a row: shift and rotation of the whole scan about the body, in w."""
 _SMALL = 1e-4
 """rad."""
+_EDGE = 9.0
+"""Square of the sigmas by which a ray must meet a plane from one of its sides."""
 _TOUCHING = 1e-3
 """Least range, m: the direction of a beam is that of its point."""
 
@@ -244,11 +246,14 @@ def weigh(
         point = range_var * cosine2 + angle_var * square * (1.0 - cosine2)
         # What the rows on one plane share
         shared: float = spread[n, 0] + bias_var * cosine2
+        unsure: float = 0.0
         m = group[n]
         for k in range(2):
             a0, a1, a2 = along[n, 3 * k], along[n, 3 * k + 1], along[n, 3 * k + 2]
             slope = a0 * g0 + a1 * g1 + a2 * g2
             shared += slope * slope
+            along_ray = a0 * e0 + a1 * e1 + a2 * e2
+            unsure += along_ray * along_ray
             # What an unknown shift along a plane becomes by its slope (a term of second order)
             shared += a0 * (apart[m, 0] * a0 + apart[m, 1] * a1 + apart[m, 2] * a2)
             shared += a1 * (apart[m, 3] * a0 + apart[m, 4] * a1 + apart[m, 5] * a2)
@@ -263,7 +268,10 @@ def weigh(
             prior += rows[n, i] * part
         distance = z * z / (R + prior)
         out[n, 0], out[n, 1] = z, R
-        out[n, 2] = 1.0 / (R * (1.0 + distance / tail)) if distance < gate else 0.0
+        # No surface is seen edge on: such a plane is that of rays from one place
+        is_seen = cosine * cosine > _EDGE * unsure
+        is_row = is_seen and distance < gate
+        out[n, 2] = 1.0 / (R * (1.0 + distance / tail)) if is_row else 0.0
 
 
 def sum_normals(

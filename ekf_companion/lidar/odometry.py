@@ -23,7 +23,7 @@ from ekf_companion.lidar.sampling import thin, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
     ATT,
-    DELAY,
+    CALIBRATION,
     DOWN,
     EXCESS,
     MOUNT_ATT,
@@ -87,9 +87,19 @@ class Odometry:
         inertial: InertialSamples,
         mounting: Mounting,
         settings: Settings,
+        *,
         delay: float = 0.0,
+        calibration: Array | None = None,
+        alignment: float = 0.0,
     ) -> None:
-        """Begin with a guess of the delay of the inertial stamps, s."""
+        """Begin with a mounting and a delay of the inertial stamps, s.
+
+        ``calibration`` is the covariance of both, shape (7, 7); None: they are known. Until they
+        are released what the map and the poses have of their error is considered, not corrected.
+        ``alignment`` is the sigma of the body's axes relative to the gyro's, rad: it shows in what
+        is returned only.
+        """
+        self._alignment = alignment
         self.settings, self._mounting, self._delay = settings, mounting, delay
         self._samples: Samples = prepare(inertial)
         self.map = VoxelMap(settings)
@@ -98,8 +108,11 @@ class Odometry:
         self._usage: dict[int, float] = {}
         self._count = 0
         self._is_started = self._is_moving = False
+        self.is_mounting_held = True
         self.x = State()
         self.P = np.zeros((N + POSE, N + POSE))
+        if calibration is not None:
+            self.P[CALIBRATION, CALIBRATION] = calibration
         self._marked: tuple[float, State] | None = None
         self._insertions = 0
         self._time = 0.0
@@ -118,19 +131,23 @@ class Odometry:
         """Return the estimates of a recording that ended before its start was found."""
         return [] if self._is_started or not self._waiting else self._begin()
 
-    def release(self, mounting: Mounting, settings: Settings) -> None:
-        """Estimate from now on what was not until now: a mounting with these sigmas, a delay."""
-        if settings.is_mounting_estimated:
-            self.P[MOUNT_ATT, MOUNT_ATT] = mounting.rotation_sigma**2 * np.eye(3)
-            self.P[MOUNT_POS, MOUNT_POS] = mounting.position_sigma**2 * np.eye(3)
-        self.P[DELAY, DELAY] = settings.delay_sigma**2
+    def release(self, calibration: Array | None = None) -> None:
+        """Correct mounting and delay from now on, with another covariance if there is one."""
+        self.is_mounting_held = False
+        if calibration is not None:
+            self.P[CALIBRATION, CALIBRATION] = calibration
+
+    @property
+    def calibration(self) -> Array:
+        """Return the covariance of mounting and delay, shape (7, 7)."""
+        return np.array(self.P[CALIBRATION, CALIBRATION])
 
     def _begin(self) -> list[Estimate]:
         """Find the start, and take the scans that it was found by."""
         scans, self._is_started = self._waiting, True
         self.x, P = start.find(scans, self._samples, self._mounting, self.settings, self._delay)
         self._time = scans[0].stamp + self._delay
-        self.P[:N, :N] = P
+        self.P[:N, :N] += P
         self._is_moving = bool(self.x.vel_w.any())
         self._waiting = []
         return [self._step(scan) for scan in scans]
@@ -145,7 +162,7 @@ class Odometry:
         return Estimate(
             stamp=end_l,
             state=self.x,
-            P=self.P[:N, :N].copy(),  # not with all the anchors' behind it
+            P=self.P[:N, :N] + self._alignment**2 * _square(by_axes(self.x)),
             relative=self._mark(end_l),
             match=None if update is None or update.sums is None else update.sums.match,
             clipped=clipped,
@@ -195,7 +212,7 @@ class Odometry:
         some = whole.chosen(thin(points, self.settings.scan_voxel, self.settings.most_points))
 
         # Compare them with the map
-        has_mounting = bool(self.P[17:24, 17:24].any())
+        has_mounting = bool(self.P[CALIBRATION, CALIBRATION].any())
         update = correct(
             x,
             P,
@@ -204,6 +221,7 @@ class Odometry:
             ),
             self.anchors,
             self.settings.iterations,
+            is_mounting_held=self.is_mounting_held,
         )
         self.x, self.P = update.state, update.P
         if update.sums is not None:
@@ -320,7 +338,25 @@ class Odometry:
         J[3:, 6:9] = -C.T
         at = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
         P = J @ self.P[np.ix_(at, at)] @ J.T
+        turned = np.vstack([skew(pos), np.eye(3) - C.T])
+        P += self._alignment**2 * _square(turned)
         return RelativePose(start=stamp0, end=stamp, C=C, pos=pos, P=0.5 * (P + P.T))
+
+
+def by_axes(x: State) -> Array:
+    """Return the derivative of the error state by a rotation of the body's axes, (27, 3).
+
+    The world is the body at the first pose, and turns with them.
+    """
+    J = np.zeros((N, 3))
+    J[ATT] = np.eye(3) - x.C_wb.T
+    J[POS], J[VEL] = skew(x.pos_w), skew(x.vel_w)
+    J[MOUNT_ATT], J[MOUNT_POS] = -x.C_bl.T, skew(x.pos_b)
+    return J
+
+
+def _square(J: Array) -> Array:
+    return np.asarray(J @ J.T)
 
 
 def recentred(x: State) -> tuple[State, Array]:

@@ -6,36 +6,23 @@ World: the body at the first pose, turned so that the last estimate of gravity p
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ekf_companion.lidar.odometry import Estimate, Odometry, RelativePose
+from ekf_companion.lidar.calibration import calibrate
+from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, N, exp, log
+from ekf_companion.lidar.state import ATT, POS, VEL, exp
+from ekf_companion.lidar.track import SEEN, UPPER_POSE, Track
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
-UPPER = np.triu_indices(6)
 NAMED = 1.0
 """Shortest time without hold that is named, s."""
 POOR = 0.01
 """Share of the way that its own sigma may be in a good result: what odometry is bought for."""
-BEGINNING = 20.0
-"""Part of a recording by which mounting and delay are found, s."""
-LEFT = 0.1
-"""Share of a sigma that these leave: more than a pass comes to, so that nothing counts twice."""
-HELD = 3.0
-"""Beginning of a pass in which neither is looked for, s."""
-PASSES = 8
-"""Over it, at most."""
-TURNING = 0.2
-"""Rate of a turn that shows mounting and delay, rad/s: ten times what noise and bias are."""
-LOST = 4.0
-"""Sigmas that were asked for beyond which what is found is not believed."""
-SETTLED_TURN, SETTLED_DELAY = np.radians(0.05), 3e-4
-"""Change of a pass below which it is the last, rad and s."""
 LEAST_SIGMA = 0.1
 """Own sigma below which a result is good however short the way, m."""
 
@@ -56,7 +43,7 @@ class Solution:
 
     name: str
     decisions: tuple[str, ...]
-    estimates: list[Estimate] = field(repr=False)
+    track: Track = field(repr=False)
     C_level: Array
     """World of the filter to the levelled one, shape (3, 3)."""
     points: Array = field(repr=False)
@@ -65,11 +52,9 @@ class Solution:
     @property
     def poses(self) -> Array:
         """Return rows of t, x, y, z, qx, qy, qz, qw."""
-        rows = [
-            [one.stamp, *(self.C_level @ one.state.pos_w), *_xyzw(self.C_level @ one.state.C_wb)]
-            for one in self.estimates
-        ]
-        return np.array(rows).reshape(-1, 8)
+        track, C = self.track, self.C_level
+        q = np.array([_xyzw(one) for one in C @ track.attitude]).reshape(-1, 4)
+        return np.hstack([track.stamp[:, None], track.pos_w @ C.T, q])
 
     def covariances(self) -> Array:
         """Return rows of t and the upper triangle of the covariance of position and attitude.
@@ -77,60 +62,54 @@ class Solution:
         Relative to the first pose; position in the levelled world, attitude as a rotation vector of
         the body.
         """
-        T = np.zeros((6, N))
+        T = np.zeros((6, SEEN))
         T[:3, POS], T[3:, ATT] = self.C_level, np.eye(3)
-        rows = [[one.stamp, *(T @ one.P @ T.T)[UPPER]] for one in self.estimates]
-        return np.array(rows).reshape(-1, 22)
+        P = T @ self.track.covariance @ T.T
+        return np.hstack([self.track.stamp[:, None], P[:, UPPER_POSE[0], UPPER_POSE[1]]])
 
     def relatives(self) -> Array:
         """Return rows of both times, relative pose, and the upper triangle of its covariance."""
-        found = [one.relative for one in self.estimates if one.relative is not None]
-        return np.array([_relative_row(one) for one in found]).reshape(-1, 30)
+        return self.track.relatives
 
     @property
     def way(self) -> float:
         """Return the length of the path, m."""
-        steps = np.diff(self.poses[:, 1:4], axis=0)
+        steps = np.diff(self.track.pos_w, axis=0)
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
     def sigma(self) -> float:
         """Return the largest sigma of the last position along any axis, m."""
-        if not self.estimates:
+        if self.track.last is None:
             return float("nan")
-        return float(np.sqrt(np.linalg.eigvalsh(self.estimates[-1].P[POS, POS])[-1]))
+        return float(np.sqrt(np.linalg.eigvalsh(self.track.last.P[POS, POS])[-1]))
+
+    def sigmas(self, block: slice) -> Array:
+        """Return those of attitude (body), position or velocity (levelled world), shape (n, 3)."""
+        turn = np.eye(3) if block == ATT else self.C_level
+        P = turn @ self.track.covariance[:, block, block] @ turn.T
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0)))
 
     def open_stretches(self) -> list[OpenStretch]:
         """Return the times without hold, with the direction of each."""
+        stamp, axes = self.track.stamp, self.track.open_w
+        # The first scan has no map to be held by
+        which = 1 + np.flatnonzero(self.track.open_axes[1:])
         made: list[OpenStretch] = []
-        begin: Estimate | None = None
-        total, last = np.zeros((3, 3)), 0.0
-        for one in [*self.estimates, None]:
-            axes = None if one is None else (np.eye(3) if one.match is None else one.match.open_w)
-            if (
-                one is not None
-                and axes is not None
-                and axes.shape[1]
-                and one is not self.estimates[0]
-            ):
-                begin = one if begin is None else begin
-                total = total + axes @ axes.T
-                last = one.stamp
-            elif begin is not None and (one is None or one.stamp - last > NAMED):
-                if last - begin.stamp >= NAMED:
-                    along = self.C_level @ np.linalg.eigh(total)[1][:, -1]
-                    along *= 1.0 if along[np.argmax(np.abs(along))] > 0 else -1.0
-                    x, y, z = along.tolist()
-                    made.append(OpenStretch(begin.stamp, last, (x, y, z)))
-                begin, total = None, np.zeros((3, 3))
+        for part in np.split(which, 1 + np.flatnonzero(np.diff(stamp[which]) > NAMED)):
+            if not len(part) or stamp[part[-1]] - stamp[part[0]] < NAMED:
+                continue
+            along = self.C_level @ np.linalg.eigh(axes[part].sum(axis=0))[1][:, -1]
+            along *= 1.0 if along[np.argmax(np.abs(along))] > 0 else -1.0
+            x, y, z = along.tolist()
+            made.append(OpenStretch(float(stamp[part[0]]), float(stamp[part[-1]]), (x, y, z)))
         return made
 
     def verdict(self) -> str:
         """Return what the result is good for, in one line."""
         way, sigma, stretches = self.way, self.sigma, self.open_stretches()
-        matched = sum(one.match is not None for one in self.estimates)
-        if matched < 0.5 * len(self.estimates):
-            count = len(self.estimates)
+        count, matched = len(self.track), int(self.track.is_matched.sum())
+        if matched < 0.5 * count:
             return f"poor: {count - matched} of {count} scans match nothing"
         grade = "good" if sigma <= max(POOR * way, LEAST_SIGMA) else "poor"
         text = f"{grade}: {way:.0f} m, own sigma {sigma:.{1 if sigma >= 1.0 else 2}f} m"
@@ -147,12 +126,13 @@ class Solution:
     def remarks(self) -> list[str]:
         """Return what was decided, and what was found about the inertial samples."""
         lines = list(self.decisions)
-        if clipped := sum(one.clipped for one in self.estimates):
-            lines.append(f"{clipped} inertial samples at the end of their range: noise widened")
-        if (lost := sum(one.lost for one in self.estimates)) > 0.0:
-            lines.append(f"{lost:.1f} s without inertial samples: noise widened")
-        if self.estimates:
-            last = self.estimates[-1]
+        if self.track.clipped:
+            lines.append(
+                f"{self.track.clipped} inertial samples at the end of their range: noise widened"
+            )
+        if self.track.lost > 0.0:
+            lines.append(f"{self.track.lost:.1f} s without inertial samples: noise widened")
+        if (last := self.track.last) is not None:
             if last.P[23, 23] > 0.0:
                 lines.append(
                     f"delay of the inertial stamps {1e3 * last.state.delay:.1f} ms, "
@@ -171,84 +151,29 @@ class Solution:
 
 def solve(recording: Recording, settings: Settings) -> Solution:
     """Return the trajectory of a recording."""
-    recording, settings, delay = calibrated(recording, settings)
-    odometry = Odometry(recording.inertial, recording.mounting, settings, delay)
-    estimates: list[Estimate] = []
+    found = calibrate(recording, settings)
+    odometry = Odometry(
+        recording.inertial,
+        found.mounting,
+        settings,
+        delay=found.delay,
+        calibration=found.P,
+        alignment=found.alignment,
+    )
+    track = Track()
     for scan in recording.scans:
-        estimates += odometry.process(scan)
-    estimates += odometry.finish()
-    down = estimates[-1].state.down_w if estimates else np.array([0.0, 0.0, -1.0])
-    C_level = levelled(down)
+        for one in odometry.process(scan):
+            track.add(one)
+    for one in odometry.finish():
+        track.add(one)
+    C_level = levelled(odometry.x.down_w)
     return Solution(
         name=recording.name,
         decisions=tuple(recording.decisions),
-        estimates=estimates,
+        track=track,
         C_level=C_level,
         points=odometry.map.points() @ C_level.T,
     )
-
-
-def calibrated(recording: Recording, settings: Settings) -> tuple[Recording, Settings, float]:
-    """Return recording and settings with the mounting and the delay that its first turns show.
-
-    What was found is the next guess, until it stays, as points of the map are where the guess puts
-    them; each time with the sigmas that were asked for.
-    """
-    delay = 0.0
-    if not (settings.is_mounting_estimated or settings.delay_sigma > 0.0):
-        return recording, settings, delay
-    begin = _first_turn(recording)
-    asked = recording.mounting
-    is_found = False
-    # As they were guessed, until there is a map to compare with
-    held = replace(settings, is_mounting_estimated=False, delay_sigma=0.0)
-    for _ in range(PASSES):
-        odometry = Odometry(recording.inertial, recording.mounting, held, delay)
-        until = HELD
-        start = None
-        for scan in recording.scans:
-            if scan.stamp > begin + BEGINNING:
-                break
-            if scan.stamp < begin:
-                continue
-            start = scan.stamp if start is None else start
-            if scan.stamp - start > until:
-                odometry.release(asked, settings)
-                until = np.inf
-            odometry.process(scan)
-        x, before = odometry.x, recording.mounting
-        if not odometry.map:
-            break
-        away = float(np.linalg.norm(log(asked.rotation.T @ x.C_bl)))
-        if away > LOST * asked.rotation_sigma or abs(x.delay) > LOST * settings.delay_sigma:
-            # By surroundings that show too little: elsewhere they may show more
-            recording, delay, is_found = replace(recording, mounting=asked), 0.0, False
-            begin += 0.25 * BEGINNING
-            continue
-        is_found = True
-        turned = float(np.linalg.norm(log(before.rotation.T @ x.C_bl)))
-        is_settled = turned < SETTLED_TURN and abs(x.delay - delay) < SETTLED_DELAY
-        recording = replace(recording, mounting=replace(asked, rotation=x.C_bl, position=x.pos_b))
-        delay = x.delay
-        if is_settled:
-            break
-    if is_found:
-        # The same scans come again: enough is left for them to show it all
-        mounting = replace(
-            recording.mounting,
-            rotation_sigma=LEFT * asked.rotation_sigma,
-            position_sigma=LEFT * asked.position_sigma,
-        )
-        recording = replace(recording, mounting=mounting)
-        settings = replace(settings, delay_sigma=LEFT * settings.delay_sigma)
-    return recording, settings, delay
-
-
-def _first_turn(recording: Recording) -> float:
-    """Return when the vehicle turns first, s: at rest mounting and delay show in nothing."""
-    rate = np.linalg.norm(recording.inertial.gyro, axis=1)
-    turning = np.flatnonzero(rate > TURNING)
-    return float(recording.inertial.stamp[turning[0]]) if len(turning) else -np.inf
 
 
 def levelled(down: Array) -> Array:
@@ -264,10 +189,6 @@ def _xyzw(C: Array) -> list[float]:
     return [x, y, z, w]
 
 
-def _relative_row(one: RelativePose) -> list[float]:
-    return [one.start, one.end, *one.pos.tolist(), *_xyzw(one.C), *one.P[UPPER].tolist()]
-
-
 def lines_of(solution: Solution, kind: str) -> Iterator[str]:
     """Yield the lines of an output: .tum, .csv, rel, cov or ply."""
     if kind == ".tum":
@@ -281,14 +202,13 @@ def lines_of(solution: Solution, kind: str) -> Iterator[str]:
             "sigma_x_m,sigma_y_m,sigma_z_m,sigma_rx_rad,sigma_ry_rad,sigma_rz_rad,"
             "sigma_vx_m_s,sigma_vy_m_s,sigma_vz_m_s,rows"
         )
-        for row, one in zip(solution.poses, solution.estimates, strict=True):
-            C = solution.C_level
-            vel = C @ one.state.vel_w
-            blocks = (C @ one.P[POS, POS] @ C.T, one.P[ATT, ATT], C @ one.P[VEL, VEL] @ C.T)
-            sigmas = [np.sqrt(np.maximum(np.diag(block), 0.0)) for block in blocks]
-            numbers = [f"{value:.9g}" for value in np.concatenate([row[1:], vel, *sigmas])]
-            used = 0 if one.match is None else one.match.used
-            yield ",".join([f"{row[0]:.6f}", *numbers, str(used)])
+        track = solution.track
+        vel = track.vel_w @ solution.C_level.T
+        sigmas = [solution.sigmas(block) for block in (POS, ATT, VEL)]
+        numbers = np.hstack([solution.poses, vel, *sigmas])
+        for row, used in zip(numbers, track.used, strict=True):
+            words = [f"{value:.9g}" for value in row[1:]]
+            yield ",".join([f"{row[0]:.6f}", *words, str(int(used))])
     elif kind == "ply":
         yield "ply\nformat ascii 1.0"
         yield f"element vertex {len(solution.points)}"

@@ -28,11 +28,8 @@ from ekf_companion.lidar.sampling import evenly, grouped, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
     ACCEL_BIAS,
-    DELAY,
     DOWN,
     GYRO_BIAS,
-    MOUNT_ATT,
-    MOUNT_POS,
     VEL,
     N,
     State,
@@ -107,7 +104,7 @@ def find(
         rate, sigma = spread
         x = replace(x, vel_w=np.zeros(3), gyro_bias=rate, down_w=-mean / np.linalg.norm(mean))
         P = np.diag(np.repeat(np.square([REST_SPEED, STILL_FORCE, sigma]), 3))
-    return x, _covariance(x, P, mounting, settings)
+    return x, _covariance(x, P, settings)
 
 
 def _rest(scans: Sequence[Scan], samples: Samples) -> tuple[Array, float] | None:
@@ -263,7 +260,7 @@ def _held(A: Array, b: Array, noise: Array, prior: Array) -> tuple[Array, Array]
     return np.asarray(part @ L.T), np.asarray(part @ white @ b)
 
 
-def _covariance(x: State, found: Array, mounting: Mounting, settings: Settings) -> Array:
+def _covariance(x: State, found: Array, settings: Settings) -> Array:
     """Return the covariance of a state of which velocity, gravity and gyro bias were found."""
     P = np.zeros((N, N))
     P[VEL, VEL] = found[:3, :3]
@@ -280,8 +277,4 @@ def _covariance(x: State, found: Array, mounting: Mounting, settings: Settings) 
     P[VEL, DOWN] = P[DOWN, VEL].T
     P[DOWN, GYRO_BIAS] = T @ found[3:6, 6:]
     P[GYRO_BIAS, DOWN] = P[DOWN, GYRO_BIAS].T
-    if settings.is_mounting_estimated:
-        P[MOUNT_ATT, MOUNT_ATT] = mounting.rotation_sigma**2 * np.eye(3)
-        P[MOUNT_POS, MOUNT_POS] = mounting.position_sigma**2 * np.eye(3)
-    P[DELAY, DELAY] = settings.delay_sigma**2
     return P

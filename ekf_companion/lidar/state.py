@@ -19,6 +19,7 @@ from ekf_companion.nav.direction import direction_minus, direction_plus
 ATT, POS, VEL = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS, DOWN = slice(9, 12), slice(12, 15), slice(15, 17)
 MOUNT_ATT, MOUNT_POS, DELAY = slice(17, 20), slice(20, 23), 23
+CALIBRATION = slice(17, 24)
 EXCESS = slice(24, 27)
 N = 27
 POSE = 6

@@ -23,6 +23,7 @@ from ekf_companion.lidar.rows import Sums
 from ekf_companion.lidar.state import (
     ACCEL_BIAS,
     ATT,
+    CALIBRATION,
     DELAY,
     DOWN,
     EXCESS,
@@ -79,12 +80,19 @@ def correct(
     rows: Callable[[State, Array, dict[int, Array]], Sums | None],
     anchors: Sequence[Anchor],
     iterations: int,
+    *,
+    is_mounting_held: bool = False,
 ) -> Update:
-    """Find the state of least cost from a prior and the covariance of its error state."""
+    """Find the state of least cost from a prior and the covariance of its error state.
+
+    A mounting and a delay that are held are considered, as anchors are, and not corrected.
+    """
     x, sums = prior, None
     apart = _apart(prior, P, anchors)
     has_excess = bool(P[EXCESS, EXCESS].any())
     L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
+    held = np.arange(N)[CALIBRATION if is_mounting_held else slice(0)]
+    kept = np.concatenate([held, np.arange(N, len(P))])
     for iteration in range(1, iterations + 1):
         sums = rows(x, P[:POSE, :POSE], apart)
         if sums is None:
@@ -103,6 +111,7 @@ def correct(
         if open_w.shape[1]:
             gained, e = _without(open_w, gained), _without(open_w, e)
         dx = gained - e
+        dx[held] = 0.0
         after = x.plus(dx)
         is_last = iteration == iterations or bool((np.abs(dx) <= SETTLED * L).all())
         if is_last:
@@ -111,13 +120,16 @@ def correct(
             if open_w.shape[1]:
                 less[:N] = _without(open_w, less[:N])
                 part = less[:N].copy()
+                part[held] = 0.0
                 P_after = P_here.copy()
                 P_after[:N] -= part
                 P_after[:, :N] -= part.T
-                P_after[:N, :N] += _without(open_w, part[:, :N].T).T
+                square = _without(open_w, part[:, :N].T)
+                square[held] = 0.0
+                P_after[:N, :N] += square.T
             else:
                 P_after = P_here - less
-            P_after[N:, N:] = P[N:, N:]
+            P_after[np.ix_(kept, kept)] = P_here[np.ix_(kept, kept)]
             G = reset_matrix(after, x)
             if G is not None:
                 P_after = _reset(P_after, G)

@@ -24,8 +24,15 @@ from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.nav.arrays import Array, Column, Const, Table
 
-_LEAST_POINTS = 6.0
-"""Three make a plane; as many again say how thick it is."""
+_LEAST_SPOTS = 6
+"""Of a plane: three make it; as many again say how thick it is. A lidar at rest strikes the same
+ones again and again, and three lie on a plane however many points they are."""
+_SPOT = 4.0
+"""Size of a spot, in the noise of a range: points that are nearer may be of the same one."""
+_CELLS = 8.0
+"""Spots along the edge of a voxel that are told apart, at most."""
+_PLACES = 61
+"""Bits that mark them; a prime, so that neighbours have different ones."""
 _MOST_POINTS = 100.0
 """Of a voxel: its plane is then known to a tenth of the noise of a point."""
 _LARGEST_SLOPE = 0.15
@@ -82,6 +89,8 @@ class VoxelMap:
     _owners: Column[np.int64]
     _costs: Column[np.float64]
     """Variance of a point's distance from the plane, without its own noise."""
+    _spots: Column[np.int64]
+    """A bit for each spot of a voxel that was struck."""
     _marks: Column[np.int64]
     """The last insertion that changed a voxel."""
     _changed: Column[np.int64]
@@ -96,12 +105,14 @@ class VoxelMap:
         self._thickest: float = (THICKEST * settings.range_noise) ** 2
         self._bias_var: float = settings.range_bias**2
         self._face: float = 3.0 * settings.range_noise
+        self._spot: float = _SPOT * settings.range_noise
         self.used: int = 0
         self._insertion: int = 0
         self._rows = np.zeros((1024, _WIDTH))
         self._keys = np.zeros(1024, dtype=np.int64)
         self._owners = np.zeros(1024, dtype=np.int64)
         self._costs = np.zeros(1024)
+        self._spots = np.zeros(1024, dtype=np.int64)
         self._marks = np.zeros(1024, dtype=np.int64)
         self._changed = np.zeros(1024, dtype=np.int64)
         self._slots = np.full((2048, 2), -1, dtype=np.int64)
@@ -134,7 +145,7 @@ class VoxelMap:
                     self._marks[row] = self._insertion
                     self._changed[changed] = row
                     changed += 1
-                self._add(row, points[i, 0], points[i, 1], points[i, 2], variance[i], owner)
+                self._add(row, size, points[i, 0], points[i, 1], points[i, 2], variance[i], owner)
             size *= 2.0
         for k in range(changed):
             self._fit(self._changed[k])
@@ -154,7 +165,7 @@ class VoxelMap:
         self._slots[at, 0], self._slots[at, 1] = key, row
         self._keys[row] = key
         self._costs[row] = _NONE
-        self._marks[row] = 0
+        self._marks[row] = self._spots[row] = 0
         for column in range(_WIDTH):
             self._rows[row, column] = 0.0
         self._rows[row, _MIDDLE] = (i + 0.5 - shift) * size
@@ -171,8 +182,10 @@ class VoxelMap:
             at = (at + 1) & last
         return at
 
-    def _add(self, row: int, x: float, y: float, z: float, variance: float, owner: int) -> None:
-        """Add a point to the sums of a voxel."""
+    def _add(
+        self, row: int, size: float, x: float, y: float, z: float, variance: float, owner: int
+    ) -> None:
+        """Add a point to the sums of a voxel of a size."""
         x -= self._rows[row, _MIDDLE]
         y -= self._rows[row, _MIDDLE + 1]
         z -= self._rows[row, _MIDDLE + 2]
@@ -187,6 +200,12 @@ class VoxelMap:
         self._rows[row, _SUMS + 8] += y * z
         self._rows[row, _COUNT] += 1.0
         self._rows[row, _NOISE] += variance
+        cell: float = max(size / _CELLS, self._spot)
+        i = cython.cast(cython.longlong, floor((x + 0.5 * size) / cell))
+        j = cython.cast(cython.longlong, floor((y + 0.5 * size) / cell))
+        k = cython.cast(cython.longlong, floor((z + 0.5 * size) / cell))
+        one: cython.longlong = 1
+        self._spots[row] |= one << ((i + 11 * j + 29 * k) % _PLACES)
         # Boyer and Moore's vote: whose points are the most
         if self._owners[row] == owner:
             self._rows[row, _LEAD] += 1.0
@@ -198,9 +217,9 @@ class VoxelMap:
 
     def _fit(self, row: int) -> None:
         """Fit the plane of a voxel."""
-        n = self._rows[row, _COUNT]
-        if n < _LEAST_POINTS:
+        if not self._has_spots(row):
             return
+        n = self._rows[row, _COUNT]
         mx = self._rows[row, _SUMS] / n
         my = self._rows[row, _SUMS + 1] / n
         mz = self._rows[row, _SUMS + 2] / n
@@ -225,8 +244,9 @@ class VoxelMap:
         # nor does what a surface is rough or curved by
         rough: float = max(thick - expected, 0.0)
         remaining: float = max(thick, expected) / n + self._bias_var / _LASERS + rough / _PATCHES
-        first: float = remaining / max(A[one, one], _LEAST_VARIANCE)
-        second: float = remaining / max(A[other, other], _LEAST_VARIANCE)
+        # Noise is no extent: a ray that strikes the same spot again and again shows no plane
+        first: float = remaining / max(A[one, one] - expected, _LEAST_VARIANCE)
+        second: float = remaining / max(A[other, other] - expected, _LEAST_VARIANCE)
         is_plane = thick < self._thickest and max(first, second) < _LARGEST_SLOPE**2
         edge = self._size * (1 << (self._keys[row] & _LEVELS))
         for k in range(3):
@@ -242,6 +262,13 @@ class VoxelMap:
         self._rows[row, _SCATTER] = thick
         # At a point as far from the centre as they are on the average
         self._costs[row] = thick + 3.0 * remaining if is_plane else _NONE
+
+    def _has_spots(self, row: int) -> bool:
+        """Return whether a voxel was struck in enough places."""
+        left = self._spots[row]
+        for _ in range(_LEAST_SPOTS - 1):
+            left &= left - 1
+        return left != 0
 
     def _diagonalise(self) -> None:
         """Rotate the first three rows of the axes to a diagonal; their columns go into the rest.
@@ -356,6 +383,7 @@ class VoxelMap:
         self._slots[self._slot(self._keys[self.used]), 1] = row
         self._keys[row], self._owners[row] = self._keys[self.used], self._owners[self.used]
         self._costs[row], self._marks[row] = self._costs[self.used], self._marks[self.used]
+        self._spots[row] = self._spots[self.used]
         for column in range(_WIDTH):
             self._rows[row, column] = self._rows[self.used, column]
 
@@ -368,6 +396,7 @@ class VoxelMap:
         self._rows = np.zeros((size, _WIDTH))
         self._keys, self._owners = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
         self._costs, self._marks = np.zeros(size), np.zeros(size, dtype=np.int64)
+        self._spots = np.zeros(size, dtype=np.int64)
         for new, old in zip(self._columns(), before, strict=True):
             new[: self.used] = old[: self.used]
         self._changed = np.zeros(size, dtype=np.int64)
@@ -377,7 +406,8 @@ class VoxelMap:
     def _columns(self) -> list[Any]:
         """Return what is kept of each voxel."""
         columns = [np.asarray(self._rows), np.asarray(self._costs), np.asarray(self._keys)]
-        return [*columns, np.asarray(self._owners), np.asarray(self._marks)]
+        columns += [np.asarray(self._owners), np.asarray(self._marks), np.asarray(self._spots)]
+        return columns
 
     def place_each(self) -> None:
         """Put all voxels to their places, which are free."""

@@ -9,6 +9,8 @@ from cython.cimports.libc.string import memcpy
 from ekf_companion.nav.arrays import Column, Const
 
 COMMA = cython.declare(cython.int, 0x2C)
+NULL = cython.declare(cython.int, 0x6E)
+OPEN = cython.declare(cython.int, 0x7B)
 CLOSED = cython.declare(cython.int, 0x5D)
 MESSAGE = cython.declare(cython.int, 0x05)
 """Opcode of an MCAP message record."""
@@ -24,6 +26,7 @@ def write_messages(
     stamp_ns: Const[Column[np.int64]],
     out: bytearray,
     behind: Column[np.int64],
+    has_gaps: bool,
 ) -> None:
     """Write an MCAP message for each row: text and numbers in turn, then the row's end.
 
@@ -35,6 +38,7 @@ def write_messages(
         stamp_ns: Time of logging and publishing of each, shape (n,).
         out: Receives the messages, with room for the bytes of all arguments, and the heads.
         behind: Receives the end of each message in ``out``, shape (n,).
+        has_gaps: A number that is null is left out with its name; the object is flat.
     """
     text: cython.p_char = cython.cast(cython.p_char, numbers)
     line: cython.p_char = cython.cast(cython.p_char, cython.address(out[0]))
@@ -45,20 +49,29 @@ def write_messages(
     for row, end in enumerate(ends):
         start = n
         n += HEAD
+        skip: int = 0  # the comma of what comes first
         for piece in names:
-            size = len(piece)
-            memcpy(line + n, cython.cast(cython.p_char, piece), size)
-            n += size
             place += 1  # a bracket or a comma
             stop = place
             while text[stop] != COMMA and text[stop] != CLOSED:
                 stop += 1
+            if has_gaps and text[place] == NULL:
+                place = stop
+                if n == start + HEAD:
+                    line[n] = OPEN
+                    n += 1
+                    skip = 1
+                continue
+            size = len(piece) - skip
+            memcpy(line + n, cython.cast(cython.p_char, piece) + skip, size)
+            n += size
+            skip = 0
             memcpy(line + n, text + place, stop - place)
             n += stop - place
             place = stop
         piece = end
-        size = len(piece)
-        memcpy(line + n, cython.cast(cython.p_char, piece), size)
+        size = len(piece) - skip
+        memcpy(line + n, cython.cast(cython.p_char, piece) + skip, size)
         n += size
         place += 2
         line[start] = MESSAGE

@@ -40,7 +40,7 @@ _SCHEMAS = {
     "/estimate": (
         "ekf_companion.Estimate",
         schema.object_of(
-            **{name: {"type": ["number", "null"]} for name in COLUMNS[1:-3]},
+            **dict.fromkeys(COLUMNS[1:-3], schema.NUMBER),
             status=schema.TEXT,
             reset_count=schema.WHOLE,
             reasons=schema.TEXT,
@@ -122,7 +122,7 @@ class Writer(EstimateWriter):
         channel, around = self._channels[topic], HEAD + sum(map(len, names))
         for first in range(0, len(ends), AT_ONCE):
             rows = slice(first, first + AT_ONCE)
-            # JSON has no NaN: orjson writes null
+            # JSON has no NaN: orjson writes null, which Foxglove has no type for; it is left out
             part = np.ascontiguousarray(numbers[rows])
             text = orjson.dumps(part, option=orjson.OPT_SERIALIZE_NUMPY)
             size = len(text) + sum(map(len, ends[rows])) + around * len(part)
@@ -130,7 +130,8 @@ class Writer(EstimateWriter):
                 self._text = bytearray(size)
             stamps = np.ascontiguousarray(stamp_ns[rows])
             behind = np.empty(len(part), dtype=np.int64)
-            write_messages(text, names, ends[rows], channel, stamps, self._text, behind)
+            has_gaps = topic == "/estimate"
+            write_messages(text, names, ends[rows], channel, stamps, self._text, behind, has_gaps)
             self._mcap.add(channel, stamps, memoryview(self._text), behind)
 
     def _add_estimates(self, table: Table) -> None:

@@ -7,8 +7,11 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks import lidar_memory
 from ekf_companion.errors import LogError
 from ekf_companion.lidar.readers import read
+from sim_autopilot.lidar.motion import Motion
+from sim_autopilot.lidar.record import simulate
 from sim_autopilot.lidar.write import write_sequence
 from tests.lidar.recordings import arrays, small
 
@@ -248,6 +251,18 @@ def test_small_errors_are_left_to_the_filter(tmp_path):
     recording = read(path)
     assert any("scans and gyro agree" in sentence for sentence in recording.decisions)
     assert [scan.stamp for scan in recording.scans] == list(small().stamp)
+
+
+@pytest.mark.parametrize("seed", [82, 83])
+def test_rings_on_bare_ground_that_hardly_turn_contradict_no_gyro(tmp_path, seed):
+    """They turn with the lidar, and lie on those before best if they are not turned at all."""
+    drive = Motion(lidar_memory.along)
+    scene = lidar_memory.avenue(np.random.default_rng(seed))
+    write_sequence(
+        tmp_path / "r", simulate("street", seed, duration=8.0, scene=scene, motion=drive)
+    )
+    said = read(tmp_path / "r").decisions
+    assert "the motion does not show whether scans and gyro agree" in said
 
 
 def test_an_undamaged_recording_names_its_decisions_and_no_damage(tmp_path):

@@ -105,7 +105,7 @@ def test_axes_are_those_of_the_points(either):
     rng = np.random.default_rng(5)
     for _ in range(20):
         axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-        points = 0.5 + (rng.standard_normal((30, 3)) * [0.003, 0.06, 0.09]) @ axes.T
+        points = 0.5 + (rng.standard_normal((30, 3)) * [0.003, 0.1, 0.12]) @ axes.T
         points = np.clip(points, 0.05, 0.95)
         voxels = either[1].VoxelMap(Settings(voxel=1.0, levels=1))
         voxels.insert(points, np.full(30, 4e-4), 0)
