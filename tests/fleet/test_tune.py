@@ -13,6 +13,7 @@ from ekf_companion.calibrate.likelihood import cuts_at
 from ekf_companion.calibrate.result import lines
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config, load_config, parse_config
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.fleet import tune
 from ekf_companion.fleet.source import of_path
@@ -139,7 +140,8 @@ def test_the_likelihood_falls_to_both_sides_of_the_truth():
     imu = ImuConfig(rate=50.0, gyro_noise=0.003, accel_noise=0.05)
     flown = fly("figure-eight", 60.0, imu=imu, gnss=gnss)
     ends = flown.events.t_ns[[0, -1]] * 1e-9
-    of = Likelihood(flown, cuts_at(flown, ends + np.array([15.0, 0.0])), Config())
+    cuts = cuts_at(flown, ends + np.array([15.0, 0.0]))
+    of = Likelihood(flown, Pipeline(Config()).run(flown.events), cuts, Config())
     truth = np.array([0.25, 0, 0, 0, *np.log([0.4, 0.6, 0.15, 0.001, 0.05, 0.003])])
     top = of(truth)
     far = dict.fromkeys(NAMES, 0.7) | {"delay": 0.03}
