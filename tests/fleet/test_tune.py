@@ -153,6 +153,21 @@ def test_the_likelihood_falls_to_both_sides_of_the_truth():
                 assert of(other) < top, (name, side)
 
 
+def test_the_noise_of_the_gyro_makes_no_lever_arm_shorter():
+    arm, gyro_noise = (0.6, -0.4, -0.3), 0.01  # 0.07 rad/s a sample, a third of the turns
+    gnss = GnssConfig(noise_h=0.4, noise_v=0.6, noise_vel=0.05, delay=0.25, lever_arm=arm)
+    imu = ImuConfig(rate=50.0, gyro_noise=gyro_noise, accel_noise=0.05)
+    flown = fly("figure-eight", 60.0, imu=imu, gnss=gnss, seed=3)
+    ends = flown.events.t_ns[[0, -1]] * 1e-9
+    cuts = cuts_at(flown, ends + np.array([15.0, 0.0]))
+    of = Likelihood(flown, Pipeline(Config()).run(flown.events), cuts, Config())
+    truth = np.array([0.25, *arm, *np.log([0.4, 0.6, 0.05, 0.001, 0.05, gyro_noise])])
+    far = 0.2 * np.eye(N)[1]
+    up, middle, down = of(truth + far), of(truth), of(truth - far)
+    top = arm[0] - 0.2 * (up - down) / (2.0 * (up + down - 2.0 * middle))
+    assert top == pytest.approx(arm[0], rel=0.1)
+
+
 def a_fit(**changes):
     values = np.array([0.2513, 0.31, -0.2, -0.11, 0.4, 0.6, 0.15, 0.01, 0.05, 0.003])
     gains = np.stack([np.linspace(90.0, 110.0, 8), np.linspace(40.0, 60.0, 8)], axis=1)
