@@ -3,7 +3,7 @@
 ``python -m benchmarks.fleet`` makes 500 logs of the recorded flights, whole and damaged, and fills
 a data set by processes, by Dask, by Dask with a worker killed every 20 s, and by a run that is
 interrupted and resumed. ``--small 10000 --listed 100000`` runs so many logs of a second and plans
-the rest.
+the rest. ``--cost`` prints what a minute of the recorded flights costs, by format.
 """
 
 from __future__ import annotations
@@ -26,13 +26,19 @@ from pathlib import Path
 import numpy as np
 from distributed import Client, LocalCluster
 
-from benchmarks.document import DATA
+from benchmarks.document import DATA, table
+from ekf_companion.analysis.flight_review import review
 from ekf_companion.config.config import Config
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.errors import CompanionError
 from ekf_companion.fleet import campaign
 from ekf_companion.fleet.dask_executor import Dask
 from ekf_companion.fleet.executor import Executor, Processes
 from ekf_companion.fleet.folder import find_logs
 from ekf_companion.fleet.listing import Listing
+from ekf_companion.fleet.observations import events, histograms
+from ekf_companion.nav.arrays import Array
+from ekf_companion.replay.read import read
 
 LARGEST_COPY = 400_000
 """Bytes of a damaged copy."""
@@ -158,14 +164,43 @@ def coordinator(small: int, listed: int) -> None:
         shutil.rmtree(root / "results")
 
 
+def cost() -> None:
+    """Print the time of a core that a minute of flight takes, by format."""
+    spent: dict[str, Array] = {}
+    for log in find_logs([str(DATA.resolve())]):
+        begin = time.process_time()
+        try:
+            recording = read(log, Config())
+            pipeline = Pipeline(Config(), recording.family, recording.gnss_delay)
+            stamp_ns = pipeline.run(recording.events).stamp_ns
+            estimated = time.process_time()
+            flight = review(log, Config())
+        except CompanionError:
+            continue
+        list(events(flight)), list(histograms(flight))
+        minutes = float(np.ptp(stamp_ns)) / 6e10
+        row = np.array([1.0, minutes, estimated - begin, time.process_time() - estimated])
+        spent[log.suffix] = spent.get(log.suffix, np.zeros(4)) + row
+    rows = [
+        f"{suffix} | {logs:.0f} | {minutes:.1f} | {alone / minutes:.2f} | {whole / minutes:.2f}"
+        for suffix, (logs, minutes, alone, whole) in sorted(spent.items())
+        if minutes
+    ]
+    head = "format | logs | minutes | estimated, s a minute | with events and histograms"
+    print(*table(head, rows), sep="\n")
+
+
 def main() -> None:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=500)
     parser.add_argument("--small", type=int, default=0)
     parser.add_argument("--listed", type=int, default=100_000)
+    parser.add_argument("--cost", action="store_true")
     asked = parser.parse_args()
-    if asked.small:
+    if asked.cost:
+        cost()
+    elif asked.small:
         coordinator(asked.small, asked.listed)
     else:
         engines(asked.logs)

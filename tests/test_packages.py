@@ -104,6 +104,7 @@ def test_the_extra_all_has_every_other_but_those_of_fleets_and_developers():
         "docs",
         "dev",
         "fleet",
+        "gs",
         "ouster",
     }
     inside = re.search(r'all = \["ekf-companion\[([\w,]+)\]"\]', section)[1]

@@ -19,11 +19,23 @@ from ekf_companion.core.settings.from_settings import delays_ns
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import CompanionError
 from ekf_companion.fleet.source import Source
-from ekf_companion.fleet.tune_parameter import BEGIN, HIGH, LOW, SCALE, STEPS, N, known, tuned
+from ekf_companion.fleet.tune_antenna import Antenna
+from ekf_companion.fleet.tune_parameter import (
+    ARM,
+    BEGIN,
+    DELAY,
+    HIGH,
+    LOW,
+    SCALE,
+    STEPS,
+    N,
+    known,
+    tuned,
+)
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import GNSS_STD, Kind
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import Status, Table
 from ekf_companion.replay.read import read
 
 UNSTATED = 1e-3
@@ -53,8 +65,11 @@ class Look:
     """The delay that is configured, or that the log declares, s."""
 
 
-def _opened(source: Source, config: Config) -> tuple[Recording, list[int]] | str:
-    """Return a flight and where what counts of it begins and ends; else why it cannot be used."""
+def _opened(source: Source, config: Config) -> tuple[Recording, Table, list[int]] | str:
+    """Return a flight, its estimates, and where what counts of it begins and ends.
+
+    Else why it cannot be used.
+    """
     try:
         with source.opened() as path:
             recording = read(path, config)
@@ -69,18 +84,21 @@ def _opened(source: Source, config: Config) -> tuple[Recording, list[int]] | str
     begin, end = (float(table.stamp_ns[i]) * 1e-9 for i in (located[0], -1))
     if end - begin < SETTLING + SHORTEST:
         return f"only {end - begin:.0f} s with a position, of {SETTLING + SHORTEST:.0f} at least"
-    return recording, cuts_at(recording, np.array([begin + SETTLING, end]))
+    return recording, table, cuts_at(recording, np.array([begin + SETTLING, end]))
 
 
 class Likelihood:
     """The log-likelihood of a flight by parameters."""
 
-    def __init__(self, recording: Recording, cuts: Sequence[int], config: Config) -> None:
-        """Take a flight between two cuts."""
+    def __init__(
+        self, recording: Recording, table: Table, cuts: Sequence[int], config: Config
+    ) -> None:
+        """Take a flight between two cuts, and its estimates."""
         values = recording.events.values.copy()
         velocity_std = range(*GNSS_STD.indices(values.shape[1]))[2]
         values[recording.events.kind == Kind.GNSS, velocity_std] = UNSTATED
         self._recording = replace(recording, events=replace(recording.events, values=values))
+        self._antenna = Antenna(self._recording, table, config)
         self._cuts, self._config, self._rows = cuts, config, 0
 
     def __call__(self, theta: Array) -> float:
@@ -88,7 +106,12 @@ class Likelihood:
 
         These are few: where a filter had to restart. The first call settles how many there are.
         """
-        sums, rows = likelihood(self._recording, known(self._config, theta), self._cuts)
+        values = self._antenna.brought(theta[ARM], float(theta[DELAY]))
+        events = replace(self._recording.events, values=values)
+        brought = replace(self._recording, events=events)
+        config = known(self._config, theta)
+        config = replace(config, gnss=replace(config.gnss, lever_arm=(0.0, 0.0, 0.0)))
+        sums, rows = likelihood(brought, config, self._cuts)
         self._rows = self._rows or rows
         return float(sums.sum()) * self._rows / rows if rows else -math.inf
 
@@ -146,13 +169,14 @@ def gain(
     source, theta = item
     if isinstance(found := _opened(source, config), str):
         return found
+    recording, _, cuts = found
     values, rows = [], 0
     for one in (
         config,
         tuned(config, theta, is_shown, std, learns=False),
         tuned(config, theta, is_shown, std, learns=True),
     ):
-        sums, judged = likelihood(found[0], one, found[1])
+        sums, judged = likelihood(recording, one, cuts)
         rows = rows or judged
         values.append(float(sums.sum()) * rows / max(judged, 1))
     return values[1] - values[0], values[2] - values[0]

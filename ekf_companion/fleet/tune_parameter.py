@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +51,10 @@ PARAMETERS = (
 WHITE_SHARE = 0.01
 """Share of the variance of a position that counts as white: the least that can be set, so that the
 noise is the one that is tuned, and what a receiver states is its slow error."""
+WALK = math.sqrt(0.007)
+"""Of the configured walks of the biases while noise is tuned: the least that the filter takes in
+flight, where fixes and samples agree. The whole, which is for a sensor that warms up, would pass
+for a twentieth of the noise of the gyro."""
 SCALE = np.array([0.3, *(1.0,) * 9])
 """Unit of each parameter in the search: 0.3 s of delay are as far as 1 m, or a factor e."""
 LOW = np.array([p.low for p in PARAMETERS])
@@ -87,7 +92,14 @@ def known(config: Config, theta: Array) -> Config:
         velocity_std=velocity,
         timing_std=timing,
     )
-    imu = replace(config.imu, learn_noise=False, accel_noise=accel, gyro_noise=gyro)
+    imu = replace(
+        config.imu,
+        learn_noise=False,
+        accel_noise=accel,
+        gyro_noise=gyro,
+        accel_bias_walk=WALK * config.imu.accel_bias_walk,
+        gyro_bias_walk=WALK * config.imu.gyro_bias_walk,
+    )
     return replace(config, gnss=gnss, imu=imu, weigh_faults="off")
 
 

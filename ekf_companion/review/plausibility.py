@@ -48,6 +48,10 @@ OF_COLUMNS = Remedies(
     "name the columns gyro_x_dps, gyro_y_dps, gyro_z_dps, or in a map unit: deg/s",
     "leave them",
 )
+_COUNTERS = {"us": 1_000, "ms": 1_000_000}
+"""Units in which boards count time by 32 bits, ns: these end after 71.6 minutes and 49.7 days."""
+FULL_WITHIN = 2.0
+"""Largest step, s, over which a counter that began anew is recognised."""
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -68,10 +72,22 @@ def check_times(name: str, t_ns: Stamps, given: str, *, is_inertial: bool = Fals
         row = int(back[0]) + 1
         raise DataError(
             f"{name}: goes back at row {row}, from {t_ns[row - 1] * 1e-9:.6f} to "
-            f"{t_ns[row] * 1e-9:.6f} s; sort the rows, or run each recording by itself"
+            f"{t_ns[row] * 1e-9:.6f} s; {_of_going_back(-int(steps[row - 1]))}"
         )
     if is_inertial:
         check_rate(name, t_ns, given, "it looks like {0}: say units={{'time': '{0}'}}")
+
+
+def _of_going_back(by_ns: int) -> str:
+    """Return what to do about times that go back once by so much."""
+    for unit, size in _COUNTERS.items():
+        lost = size << 32
+        if 0 <= lost - by_ns < FULL_WITHIN * 1e9:
+            return (
+                f"a counter of 32 bits of {unit} has begun anew: add {lost * 1e-9:.6f} s to the "
+                "times from there on"
+            )
+    return "sort the rows, or run each recording by itself"
 
 
 def check_rate(name: str, t_ns: Stamps, given: str, advice: str) -> None:

@@ -219,6 +219,15 @@ def in_ms(flown):
         (lambda f: {"time": np.rint(f.time * 1e6).astype(int)}, "it looks like us"),
         (lambda f: {"time": (f.time + 1.7e9) * 1e3}, "is beyond every clock; name its unit"),
         (lambda f: {"time": f.time[::-1]}, "goes back at row 1, from"),
+        (
+            lambda f: {"time": (f.time + 4260.0) % 4294.967296},
+            r"32 bits of us has begun anew: add 4294\.967296 s to the times from there on",
+        ),
+        (
+            lambda f: {"time": (np.rint(f.time * 1e3 + 4.29493e9) % 2**32) / 1e3},
+            r"32 bits of ms has begun anew: add 4294967\.296000 s to the times",
+        ),
+        (lambda f: {"time": (f.time + 4260.0) % 4290.0}, "0000 s; sort the rows"),
         (lambda f: {"time": f.time * NAN}, "time: holds NaN"),
         (lambda f: {"gnss": f.gnss | {"time": f.gnss["time"] + 1e6}}, "have nothing in common"),
         (

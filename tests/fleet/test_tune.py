@@ -13,6 +13,7 @@ from ekf_companion.calibrate.likelihood import cuts_at
 from ekf_companion.calibrate.result import lines
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config, load_config, parse_config
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.fleet import tune
 from ekf_companion.fleet.source import of_path
@@ -139,7 +140,8 @@ def test_the_likelihood_falls_to_both_sides_of_the_truth():
     imu = ImuConfig(rate=50.0, gyro_noise=0.003, accel_noise=0.05)
     flown = fly("figure-eight", 60.0, imu=imu, gnss=gnss)
     ends = flown.events.t_ns[[0, -1]] * 1e-9
-    of = Likelihood(flown, cuts_at(flown, ends + np.array([15.0, 0.0])), Config())
+    cuts = cuts_at(flown, ends + np.array([15.0, 0.0]))
+    of = Likelihood(flown, Pipeline(Config()).run(flown.events), cuts, Config())
     truth = np.array([0.25, 0, 0, 0, *np.log([0.4, 0.6, 0.15, 0.001, 0.05, 0.003])])
     top = of(truth)
     far = dict.fromkeys(NAMES, 0.7) | {"delay": 0.03}
@@ -149,6 +151,21 @@ def test_the_likelihood_falls_to_both_sides_of_the_truth():
             other = truth + side * far[name] * np.eye(N)[i]
             if (other >= LOW).all():
                 assert of(other) < top, (name, side)
+
+
+def test_the_noise_of_the_gyro_makes_no_lever_arm_shorter():
+    arm, gyro_noise = (0.6, -0.4, -0.3), 0.01  # 0.07 rad/s a sample, a third of the turns
+    gnss = GnssConfig(noise_h=0.4, noise_v=0.6, noise_vel=0.05, delay=0.25, lever_arm=arm)
+    imu = ImuConfig(rate=50.0, gyro_noise=gyro_noise, accel_noise=0.05)
+    flown = fly("figure-eight", 60.0, imu=imu, gnss=gnss, seed=3)
+    ends = flown.events.t_ns[[0, -1]] * 1e-9
+    cuts = cuts_at(flown, ends + np.array([15.0, 0.0]))
+    of = Likelihood(flown, Pipeline(Config()).run(flown.events), cuts, Config())
+    truth = np.array([0.25, *arm, *np.log([0.4, 0.6, 0.05, 0.001, 0.05, gyro_noise])])
+    far = 0.2 * np.eye(N)[1]
+    up, middle, down = of(truth + far), of(truth), of(truth - far)
+    top = arm[0] - 0.2 * (up - down) / (2.0 * (up + down - 2.0 * middle))
+    assert top == pytest.approx(arm[0], rel=0.1)
 
 
 def a_fit(**changes):
