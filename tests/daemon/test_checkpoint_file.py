@@ -186,11 +186,14 @@ def test_a_disk_that_does_not_give_the_last_state_holds_up_the_start_for_a_momen
     tmp_path, monkeypatch, caplog
 ):
     """A folder that hangs, as on a card that is busy or a share that is away."""
-    (tmp_path / "checkpoint").write_bytes(OLD)
+    paths = [tmp_path / name / "checkpoint" for name in "abc"]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_bytes(OLD)
     hang, opened = threading.Event(), Path.open
     monkeypatch.setattr(Path, "open", lambda *a, **b: hang.wait() and opened(*a, **b))
     begin = time.monotonic()
-    files = [CheckpointFile(tmp_path / "checkpoint", 1.0) for _ in range(3)]
+    files = [CheckpointFile(path, 1.0) for path in paths]
     assert [file.read() for file in files] == [None, None, None]
     assert time.monotonic() - begin < 2 * checkpoint_file.READING  # and not three times
     assert caplog.text.count("checkpoint: the disk did not return it within 2 s; starting") == 3
@@ -199,7 +202,7 @@ def test_a_disk_that_does_not_give_the_last_state_holds_up_the_start_for_a_momen
     files[0].write(NEW)
     close(*files)
     assert files[0].read() is None
-    assert (tmp_path / "checkpoint").read_bytes() == NEW
+    assert paths[0].read_bytes() == NEW
 
 
 def test_no_name_is_no_file():
