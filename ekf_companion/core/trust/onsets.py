@@ -27,6 +27,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_STEP,
     FAULT_BODY_FIELD,
     FAULT_DELAY,
+    FAULT_DRAG_RAMP,
     FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
@@ -56,6 +57,8 @@ SETTLED = cython.declare(cython.double, 1e10)
 """Age before which none is excluded, ns."""
 OLDEST = cython.declare(cython.double, 2e11)
 """Age beyond which an instance that says nothing goes, ns."""
+FASTEST = cython.declare(cython.double, 2e10)
+"""Age at which a receiver has ceased to be led away ever faster, ns: at 1 m/s2 by 20 m/s then."""
 OFTEN = cython.declare(cython.double, 0.95e9)
 """Time between two onsets of those that are tried once a second, ns: stamps jitter. The inertial
 noise is learnt over as long: over ten seconds a slow wave is none."""
@@ -259,6 +262,13 @@ def thin(x: State, b: Bank) -> None:
     while i >= 0:
         h = address(b.instance[i])
         age = x.t - h.t0
-        if (age > SETTLED and h.evidence < EXCLUDED) or (age > OLDEST and h.evidence < 0.0):
+        is_over = cython.declare(
+            cython.bint, age > FASTEST and (h.kind == FAULT_DRAG_RAMP or h.kind == FAULT_FALL_RAMP)
+        )
+        if (
+            is_over
+            or (age > SETTLED and h.evidence < EXCLUDED)
+            or (age > OLDEST and h.evidence < 0.0)
+        ):
             drop(b, i)
         i -= 1
