@@ -79,11 +79,13 @@ SHARE = 0.1
 MOST_NAMES = 3
 """Sources that are named at once: more say no more than that nobody knows."""
 OPENED = (
-    *(Source.POSITION, Source.VELOCITY, Source.CLIMB),
-    *(Source.HEIGHT, Source.FALL, Source.BARO),
+    *((Source.POSITION,), (Source.VELOCITY,), (Source.BARO,)),
+    *((Source.HEIGHT, Source.FALL), (Source.CLIMB, Source.FALL)),
 )
-"""Sources whose readings correct nothing while they are suspected, with ``weigh_faults: act``; so
-decides ``hypotheses.open_rows``."""
+"""Sources whose readings correct nothing while one of them is suspected, with ``weigh_faults:
+act``; so decides ``hypotheses.open_rows``, but while the inertial noise leaps."""
+ENDS = (Fault.RECOVERY, Fault.RECOVERY_HEIGHT)
+"""Of what was found these are no faults."""
 
 
 class FoundFault(NamedTuple):
@@ -125,7 +127,7 @@ class FoundFault(NamedTuple):
     def words_ago(self, now_ns: int, *, repaired: bool = False) -> str:
         """Return what it is, how large, and how long ago it began and was so last, or repaired."""
         begin, end = (1e-9 * (now_ns - t) for t in (self.onset_ns, self.until_ns))
-        if repaired:
+        if repaired and self.kind not in ENDS:
             return f"{self.size_words[0]}, since {begin:.0f} s, repaired {end:.0f} s ago"
         return f"{self.size_words[0]}, {begin:.0f} to {end:.0f} s ago"
 
@@ -185,7 +187,9 @@ def suspicions(probability: Array, *, decides: bool = False) -> tuple[str, ...]:
         if total > EVEN:
             ranked = sorted(sources, key=lambda one: -probability[one])
             named = [SOURCES[one][1] for one in ranked if probability[one] >= SHARE * total]
-            is_opened = decides and ranked[0] in OPENED and probability[ranked[0]] > EVEN
+            is_opened = decides and any(
+                ranked[0] in group and probability[list(group)].sum() > EVEN for group in OPENED
+            )
             words = f"{what}: {' or '.join(named[:MOST_NAMES])} ({total:.2f})"
             found.append(f"{words}, {named[0]} not used" if is_opened else words)
     return tuple(found)

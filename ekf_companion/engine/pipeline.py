@@ -18,7 +18,7 @@ from ekf_companion.core.settings.field import Field
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Origin, State, settings_fingerprint
-from ekf_companion.engine.faults import FaultEvidence, FoundFault, by_source, suspicions
+from ekf_companion.engine.faults import ENDS, FaultEvidence, FoundFault, by_source, suspicions
 from ekf_companion.engine.health import (
     HEADING_SENSORS,
     RESET_REASONS,
@@ -259,7 +259,7 @@ class Pipeline:
             faults=by_source(probability),
             suspected=suspected,
             found=tuple(one.words_ago(self.stamp_ns, repaired=self._decides) for one in faults),
-            found_counts=Counter(one.source.name.lower() for one in faults),
+            found_counts=Counter(one.source.name.lower() for one in faults if one.kind not in ENDS),
             protection_horizontal=levels[0],
             protection_vertical=levels[1],
             receiver=int(x.receiver),

@@ -201,9 +201,9 @@ class VoxelMap:
         self._rows[row, _COUNT] += 1.0
         self._rows[row, _NOISE] += variance
         cell: float = max(size / _CELLS, self._spot)
-        i = cython.cast(cython.longlong, floor((x + 0.5 * size) / cell))
-        j = cython.cast(cython.longlong, floor((y + 0.5 * size) / cell))
-        k = cython.cast(cython.longlong, floor((z + 0.5 * size) / cell))
+        i = cython.cast(cython.longlong, max(floor((x + 0.5 * size) / cell), 0.0))
+        j = cython.cast(cython.longlong, max(floor((y + 0.5 * size) / cell), 0.0))
+        k = cython.cast(cython.longlong, max(floor((z + 0.5 * size) / cell), 0.0))
         one: cython.longlong = 1
         self._spots[row] |= one << ((i + 11 * j + 29 * k) % _PLACES)
         # Boyer and Moore's vote: whose points are the most

@@ -191,6 +191,24 @@ def test_a_descent_of_the_receiver_alone_is_no_fault_of_the_barometer(seed):
     assert abs(wrong[5] - right[5]) < max(3.0 * wrong[25], 2.0)
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_slide_goes_on_through_a_gap(seed):
+    """What is held goes on meanwhile, and is known the worse for it."""
+    events, _ = flight("loiter", 90.0, seed=seed)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    values = events.values.copy()
+    mask = events.kind == Kind.GNSS
+    values[mask, 0] += (1.0 * METRE * np.clip(t - BEGIN, 0.0, None))[mask]
+    kept = (t < 55.0) | (t > 75.0)
+    gaps = [
+        Events(t_ns=events.t_ns, kind=events.kind, values=v).take(kept)
+        for v in (events.values, values)
+    ]
+    right, wrong = (pipeline("act").run(gap).values[-1] for gap in gaps)
+    off = np.abs(wrong[3:6] - right[3:6])
+    assert np.all(off < np.maximum(5.0 * wrong[23:26], 2.0))
+
+
 def test_each_fault_has_its_numbers_and_its_words():
     assert set(FAULTS) == set(Fault)
     named = {kind for kind, prior in FAULTS.items() if prior.source != Source.NOISE}

@@ -8,7 +8,7 @@ import pytest
 from ekf_companion.core.memory.enums import Fault, Source
 from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
-from ekf_companion.engine.faults import SOURCES, WORDS, FoundFault, by_source, suspicions
+from ekf_companion.engine.faults import ENDS, SOURCES, WORDS, FoundFault, by_source, suspicions
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind
 from tests.core.flights import between, changed, flight
@@ -92,7 +92,8 @@ def test_each_fault_says_its_size_and_a_sigma_in_the_same_unit(kind):
     assert float(sigma) == pytest.approx(scale * 0.05, abs=0.51)
     assert one.words(5 * 10**9) == f"{words}, 5 to 15 s"
     assert one.words_ago(3 * 10**10) == f"{words}, 20 to 10 s ago"
-    assert one.words_ago(3 * 10**10, repaired=True) == f"{words}, since 20 s, repaired 10 s ago"
+    when = "20 to 10 s ago" if kind in ENDS else "since 20 s, repaired 10 s ago"
+    assert one.words_ago(3 * 10**10, repaired=True) == f"{words}, {when}"
     found = one.to_dict(0)
     assert (found["from_s"], found["to_s"], len(found["size"])) == (10.0, 20.0, rows)
 

@@ -43,7 +43,7 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
             shape.take_off(x, o, aid)
         if gate.fuse(x, k, o, aid):
             return
-        # what is refused for long is a fault with a name, where those are weighed
+        # where faults are weighed a long refusal is judged by them, and ends by no time-out
         if k.weighs_faults == WEIGH_ACT or not gate.is_timed_out(x, aid, k.timeout_height):
             return
     if not dispatch.begin(x, k, aid, row):

@@ -140,6 +140,9 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         else:
             gate.count_verdict(x, AID_POSITION, VERDICT_BEFORE_ALIGNMENT)
         return True
+    if k.weighs_faults == WEIGH_ACT:
+        repair.drive(x, address(w.observation.bank[0]), 0, 2)
+        widen_offsets(x, address(w.observation.bank[0]))
     if x.needs_reset != 0.0:
         resume_after_gap(x, k, w, has_vel)
         return True
@@ -152,9 +155,6 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     """Correct velocity, position and height. Return False if the filter must start over."""
     fix = address(w.fix)
     o = address(w.observation)
-    if k.weighs_faults == WEIGH_ACT:
-        repair.drive(x, address(o.bank[0]), 0, 2)
-        widen_offsets(x, address(o.bank[0]))
     # What is slow of their error is no larger than what has been learnt
     bound_offset(x, o, 0, x.gnss_offset_var[0])
     bound_offset(x, o, 1, x.gnss_offset_var[0])
@@ -181,9 +181,9 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             return True
     fuse_position(x, k, w)
     fuse_height(x, k, w)
-    if k.weighs_faults == WEIGH_ACT:
-        repair.hold_found(x, address(o.bank[0]))
     if o.has_bank:
+        if k.weighs_faults == WEIGH_ACT:
+            repair.hold_found(x, address(o.bank[0]))
         repair.decide(x, k, o)
     return True
 

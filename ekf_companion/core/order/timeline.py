@@ -87,6 +87,11 @@ COMPILED_BLOCK = BLOCK
 """Size of the state that this module was compiled for."""
 
 
+def root(variance: float) -> float:
+    """Return the root of a variance, of which rounding may have left less than none."""
+    return sqrt(variance) if variance > 0.0 else 0.0
+
+
 class Timeline:
     """The estimator over time: insert events as they arrive, and read the current state.
 
@@ -696,6 +701,7 @@ class Timeline:
             if not is_sound(self.x):
                 good = address(self.snapshots[self.snaps - 1])
                 recover(self.x, self.k, good, self.rows[i].t)
+                self._copy_bank(0, 1 + self.snaps)
             if self.x.samples % SNAPSHOT_EVERY == 0.0:
                 copy_state(address(self.snapshots[self.snaps]), self.x)
                 self._copy_bank(2 + self.snaps, 0)
@@ -880,7 +886,7 @@ class Timeline:
                 one = address(as_banks(numbers)[0].found[i])
                 onset, until = int(one.onset) + epoch, int(one.until) + epoch
                 size = one.b[0], one.b[1], one.b[2]
-                std = sqrt(one.var[0]), sqrt(one.var[1]), sqrt(one.var[2])
+                std = root(one.var[0]), root(one.var[1]), root(one.var[2])
                 told.append((int(one.kind), onset, until, size, std, float(one.evidence)))
         return told
 
@@ -906,8 +912,8 @@ class Timeline:
     def evidence(self) -> np.ndarray:
         """Return what was thought of each source over time, shape (n, 3 + SOURCES).
 
-        In order of time, once a second or less often: stamp (ns), horizontal and vertical
-        protection level (m; NaN: none), and how probable it was of each source that it is wrong.
+        By each clock in order of time, once a second or less often: stamp (ns), horizontal and
+        vertical protection level (m; NaN: none), and how probable it was of each source that it is wrong.
         """
         return np.array(self.evidence_table[: self.evidence_size])
 

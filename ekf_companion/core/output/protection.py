@@ -133,15 +133,15 @@ def widen(q: Protection, u: Vector, v: Vector, covariance: float) -> None:
 def find_level(q: Protection, risk: float, is_vertical: bool) -> float:
     """Return the distance that the error exceeds with the risk, at most."""
     high = sqrt(q.dd[0] if is_vertical else larger_eigenvalue(q, 0))
-    while exceeded(q, high, is_vertical) > risk and high < FARTHEST:
+    while not exceeded(q, high, is_vertical) <= risk and high < FARTHEST:
         high *= 2.0
     low = 0.5 * high
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if exceeded(q, middle, is_vertical) > risk:
-            low = middle
-        else:
+        if exceeded(q, middle, is_vertical) <= risk:
             high = middle
+        else:
+            low = middle
     return high
 
 

@@ -166,8 +166,8 @@ def weigh_reading(
             s = b.T[i][r][c]
             for j in range(r):
                 s -= o.L[r][j] * to.T[j][c]
-            to.T[r][c] = s / o.L[r][r] if is_own else 0.0
-            shown += to.T[r][c] * to.T[r][c]
+            to.T[r][c] = s / o.L[r][r]
+            shown += to.T[r][c] * to.T[r][c] if is_own else 0.0
     if shown == 0.0:
         return
     if k.fault[h.kind].source == SOURCE_NOISE:

@@ -368,9 +368,10 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
     """Move the offsets of declared slides on to now, and let those walk that are restless."""
     for axis in range(first, last + 1):
         if axis < 3 and b.restless[axis] > 0.0:
+            kept = exp(-x.fix_dt / FADES)
             if b.held[axis] != 0.0:
-                add_variance(x, E_GNSS + axis, b.restless[axis] * x.fix_dt / FADES)
-            b.restless[axis] *= exp(-x.fix_dt / FADES)
+                add_variance(x, E_GNSS + axis, b.restless[axis] * (1.0 - kept))
+            b.restless[axis] *= kept
         if b.drift[axis] != 0.0:
             dt = (x.t - b.driven_t[axis]) * 1e-9
             before = (b.driven_t[axis] - b.drift_t[axis]) * 1e-9
