@@ -913,7 +913,8 @@ class Timeline:
         """Return what was thought of each source over time, shape (n, 3 + SOURCES).
 
         By each clock in order of time, once a second or less often: stamp (ns), horizontal and
-        vertical protection level (m; NaN: none), and how probable it was of each source that it is wrong.
+        vertical protection level (m; NaN: none), and how probable it was of each source that it is
+        wrong.
         """
         return np.array(self.evidence_table[: self.evidence_size])
 
