@@ -36,6 +36,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import (
     Numbers,
     Square,
     as_banks,
+    bank_size,
     as_estimate,
     as_events,
     as_parameters,
@@ -87,12 +88,15 @@ class Smoother:
         self.w.observation.bank = as_banks(self.bank_table)
 
     def bank(self) -> np.ndarray:
-        """Return a copy of the fault hypotheses after what was run last, shape (BANK,) or (1,)."""
-        return np.array(self.bank_table[0])
+        """Return a copy of the fault hypotheses after what was run last; empty: there are none."""
+        if not self.w.observation.has_bank:
+            return np.zeros(0)
+        return np.array(self.bank_table[0, : bank_size(address(self.w.observation.bank[0]))])
 
     def set_bank(self, bank: Numbers) -> None:
         """Run on from other fault hypotheses, as :meth:`bank` returned them."""
-        self.bank_table[0, :] = bank
+        self.bank_table[0, :] = 0.0
+        self.bank_table[0, : bank.shape[0]] = bank
 
     def advance(self, block: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Run the filter over rows in order of time, without a tape.

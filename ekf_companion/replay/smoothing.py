@@ -29,7 +29,8 @@ from ekf_companion.nav.state import Table, join
 
 _EVENT = np.dtype(Event)
 STRETCH = 512
-"""Rows of a stretch: 15 kB of state for 60 kB of rows, a tape of 10 MB."""
+"""Rows of a stretch: 15 kB of state for 60 kB of rows, a tape of 10 MB; up to 250 kB more where the
+fault hypotheses decide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -42,6 +43,8 @@ class _Stretch:
     """Added to the rows' times, ns."""
     number: int
     """Of its state before the rows, among those stored."""
+    bank: tuple[int, int]
+    """First and count of the numbers of the fault hypotheses of that state."""
     first: int
     """Index of its first row among those stored."""
     count: int
@@ -70,7 +73,7 @@ class Smoothing(Pipeline):
         self._final = Spool(ROW, in_memory)
         self._results = Spool(1 + OUT, in_memory)
         self._blocks = Spool(BLOCK, in_memory)
-        self._banks = Spool(len(self._smoother.bank()), in_memory)
+        self._banks = Spool(1, in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
         self._clock = -1
@@ -108,7 +111,7 @@ class Smoothing(Pipeline):
             is_last = after is None or after.clock != stretch.clock
             rows = self._final.read(stretch.first, stretch.count)
             block = self._blocks.read(stretch.number, 1)[0]
-            self._smoother.set_bank(self._banks.read(stretch.number, 1)[0])
+            self._smoother.set_bank(self._banks.read(*stretch.bank)[:, 0])
             blocks = self._smoother.smooth(block, rows, None if is_last else later)
             later, after = blocks[0], stretch
             self._store_results(stretch, rows, blocks[1:])
@@ -137,7 +140,7 @@ class Smoothing(Pipeline):
                 self._cut(is_over=True)
                 self._clock, self._epoch, self._block = clock, epoch, start
                 if as_state(start).mode == Mode.INIT:  # not a clock that was set
-                    self._smoother.set_bank(np.zeros_like(self._smoother.bank()))
+                    self._smoother.set_bank(np.zeros(0))
             self._waiting.append(rows)
             if sum(map(len, self._waiting)) >= STRETCH:
                 self._cut(is_over=False)
@@ -162,11 +165,13 @@ class Smoothing(Pipeline):
 
     def _add(self, rows: Array) -> None:
         """Add a stretch, and run the filter over it."""
+        bank = self._smoother.bank()
         self._stretches.append(
             _Stretch(
                 clock=self._clock,
                 epoch=self._epoch,
                 number=len(self._blocks),
+                bank=(len(self._banks), len(bank)),
                 first=len(self._final),
                 count=len(rows),
                 samples=int(np.count_nonzero(rows.view(_EVENT)["kind"] == Kind.IMU)),
@@ -174,7 +179,7 @@ class Smoothing(Pipeline):
         )
         self._final.append(rows)
         self._blocks.append(self._block[None])
-        self._banks.append(self._smoother.bank()[None])
+        self._banks.append(bank[:, None])
         self._block = self._smoother.advance(self._block, rows)
 
 
