@@ -36,13 +36,13 @@ from cython.cimports.ekf_companion.core.memory.overlay import (
     Numbers,
     Square,
     as_banks,
-    bank_size,
     as_estimate,
     as_events,
     as_parameters,
     as_records,
     as_state,
     as_states,
+    bank_size,
     copy_state,
 )
 from cython.cimports.ekf_companion.core.memory.scratch import (

@@ -101,9 +101,15 @@ def mix(x: State, k: Parameters, w: Scratch) -> bool:
 
 def find_reasons(x: State, k: Parameters, w: Scratch) -> int:
     """Return why a state that navigates is not OK, as bits: a :class:`~.nav.state.Reason`."""
-    if mix(x, k, w):
-        return judge_spread(x, k, address(w.observation.bank[0])) | judge_state(x, k)
-    return judge_state(x, k)
+    return judge(x, k, w, mix(x, k, w))
+
+
+def judge(x: State, k: Parameters, w: Scratch, is_mixed: bool) -> int:
+    """Return these reasons by what the mixture adds, where :func:`mix` has just written that."""
+    reasons = judge_state(x, k)
+    if is_mixed:
+        reasons |= judge_spread(x, k, address(w.observation.bank[0]))
+    return reasons
 
 
 def judge_spread(x: State, k: Parameters, b: Bank) -> int:
@@ -196,12 +202,13 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     What is not known yet is NaN.
     """
     m = address(w.motion)
-    reasons = find_reasons(x, k, w)
+    is_mixed = mix(x, k, w)
+    reasons = judge(x, k, w, is_mixed)
     status = find_status(x, reasons)
     copy_nominal(y, x)
     y.origin = x.origin
     copy_moving(y, x)
-    if mix(x, k, w):
+    if is_mixed:
         b = address(w.observation.bank[0])
         add_spread(y, b)
         rotate(y.q_nb, b.mean[0], b.mean[1], b.mean[2])
