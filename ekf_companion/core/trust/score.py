@@ -56,6 +56,8 @@ def end_window(x: State, k: Parameters, b: Bank) -> None:
     logarithm of its variance is ``(M lam^2 - M Lam) / 2``, whose mean is zero where M is right.
     """
     span = (x.t - b.window_t) * 1e-9
+    if b.information == 0.0 and x.doubt > 1.0:  # the start has found more than is configured
+        b.log_share = log(x.doubt)
     before = b.log_share
     if k.weighs_faults != WEIGH_ACT:
         b.log_share = log(x.doubt)
