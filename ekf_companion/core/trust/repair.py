@@ -104,7 +104,7 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             b.since[source] = NEVER
         elif b.since[source] <= NEVER:
             b.since[source] = x.t
-        elif x.t < b.hold_t:
+        elif x.t < b.hold_t or b.instance[best].recent > THREE_SIGMA2:
             b.since[source] = x.t
         elif x.t - b.since[source] >= (
             patience if b.instance[best].recent < UNEXPLAINED else 2.0 * patience
