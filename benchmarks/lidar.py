@@ -20,12 +20,10 @@ import numpy as np
 
 from benchmarks import lidar_memory, lidar_peers
 from benchmarks.document import table
-from ekf_companion.lidar.calibration import calibrate
-from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.solution import Solution, levelled
+from ekf_companion.lidar.solution import Solution, levelled, start
 from ekf_companion.lidar.state import exp
 from ekf_companion.lidar.track import Track
 
@@ -131,15 +129,7 @@ def run(case: Case) -> tuple[Solution, list[float]]:
     path = SHARED / "data" / "lidar" / case.sequence
     settings = case.settings(ranges(path))
     recording = case.change(read(path))
-    known = calibrate(recording, settings)
-    odometry = Odometry(
-        recording.inertial,
-        known.mounting,
-        settings,
-        delay=known.delay,
-        calibration=known.P,
-        alignment=known.alignment,
-    )
+    odometry = start(recording, settings)
     track, spent = Track(), []
     for scan in recording.scans:
         begin = time.process_time()

@@ -149,10 +149,10 @@ class Solution:
         return lines
 
 
-def solve(recording: Recording, settings: Settings) -> Solution:
-    """Return the trajectory of a recording."""
+def start(recording: Recording, settings: Settings) -> Odometry:
+    """Return the odometry of a recording, its mounting and delay found where that is asked."""
     found = calibrate(recording, settings)
-    odometry = Odometry(
+    return Odometry(
         recording.inertial,
         found.mounting,
         settings,
@@ -160,6 +160,11 @@ def solve(recording: Recording, settings: Settings) -> Solution:
         calibration=found.P,
         alignment=found.alignment,
     )
+
+
+def solve(recording: Recording, settings: Settings) -> Solution:
+    """Return the trajectory of a recording."""
+    odometry = start(recording, settings)
     track = Track()
     for scan in recording.scans:
         for one in odometry.process(scan):

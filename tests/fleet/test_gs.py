@@ -5,25 +5,15 @@ import socket
 from contextlib import closing
 
 import pytest
-from typer.testing import CliRunner
 
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError, MissingPackageError
 from ekf_companion.fleet import campaign, remote
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.load import load
-from sim_autopilot.__main__ import app as sim
 from tests.fleet.in_place import InPlace
 
 HAS_GCSFS = importlib.util.find_spec("gcsfs") is not None
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    path = tmp_path_factory.mktemp("flight") / "a.tlog"
-    words = ("generate", "--duration", "12", "--imu-rate", "50")
-    assert CliRunner().invoke(sim, [*words, "-o", str(path)]).exit_code == 0
-    return path.read_bytes()
 
 
 @pytest.fixture

@@ -13,27 +13,17 @@ import urllib.request
 import boto3
 import pytest
 from moto.server import ThreadedMotoServer
-from typer.testing import CliRunner
 
 from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError, ConfigError, LogError
 from ekf_companion.fleet import campaign, remote
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.load import load
-from sim_autopilot.__main__ import app as sim
 from tests.daemon.waiting import LIMIT
 from tests.fleet.in_place import InPlace
 from tests.fleet.proxy import Proxy
 
 KEY, SECRET = "AKIAOFATEST000000000", "sEcReT/0f+a/tEsT"
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    path = tmp_path_factory.mktemp("flight") / "a.tlog"
-    words = ("generate", "--duration", "12", "--imu-rate", "50")
-    assert CliRunner().invoke(sim, [*words, "-o", str(path)]).exit_code == 0
-    return path.read_bytes()
 
 
 @pytest.fixture(scope="module")
