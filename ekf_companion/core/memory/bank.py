@@ -178,6 +178,8 @@ class Bank:
     """What was held then, m."""
     rows: Annotated[Vector, 2]
     """Level and vertical rows of the observation that is being judged."""
+    group: Annotated[Vector, 3]
+    """Of each row: 0, it is level; 1, it is vertical."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     trial: Trial

@@ -122,7 +122,8 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         b.rows[g] = 0.0
         b.work[g] = 0.0
     for r in range(o.rows):
-        g = 1 if is_vertical(o, r) else 0
+        b.group[r] = 1.0 if is_vertical(o, r) else 0.0
+        g = 1 if b.group[r] != 0.0 else 0
         b.rows[g] += 1.0
         b.work[g] += o.y[r] * o.y[r]
     share = 1.0 / learn_common(x, b, o, aid, b.work[0] + b.work[1])
@@ -159,7 +160,7 @@ def weigh_reading(
     shows = k.fault[h.kind].shows
     for r in range(o.rows):
         is_own = cython.declare(
-            cython.bint, shows == SHOWS_ALL or is_vertical(o, r) == (shows == SHOWS_VERTICAL)
+            cython.bint, shows == SHOWS_ALL or (b.group[r] != 0.0) == (shows == SHOWS_VERTICAL)
         )
         own += 1.0 if is_own else 0.0
         for c in range(rows):
@@ -234,7 +235,7 @@ def try_reading(b: Bank, h: Instance, o: Observation, shows: int, noise: float) 
         for j in range(rows):
             to.M[c][j] = h.M[c][j]
     for r in range(o.rows):
-        group = 1 if is_vertical(o, r) else 0
+        group = 1 if b.group[r] != 0.0 else 0
         if shows != SHOWS_ALL and group != (1 if shows == SHOWS_VERTICAL else 0):
             continue
         e = o.y[r]
