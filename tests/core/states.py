@@ -4,6 +4,7 @@ import numpy as np
 
 from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.enums import (
+    CORE,
     E_ATT,
     E_VEL,
     SLOW_ERRORS,
@@ -46,6 +47,7 @@ def a_state(seed: int) -> State:
     x.gyro[:] = rng.normal(0.0, 1.0, 3)
     x.accel_n[:] = rng.normal(0.0, 3.0, 3)
     x.gnss_vel_offset[:] = rng.normal(0.0, 0.1, 3)
+    x.begun = N - CORE
     load().strapdown.set_origin(x, 0.82, 0.15, 480.0)
     return x
 
@@ -64,7 +66,7 @@ def let_walk(k: Parameters, aid: Aid, walk: float) -> None:
     one = k.aid[aid]
     name = aid.name.lower()
     errors = next(known.slow_errors for known in DECLARED if known.name == name)
-    one.walk, one.error, one.errors = walk, SLOW_ERRORS[name], len(errors)
+    one.walk[0], one.error, one.errors = walk, SLOW_ERRORS[name], len(errors)
 
 
 def plus(x: State, error: np.ndarray) -> State:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.memory.bank import BANK, MOVING, Bank
-from ekf_companion.core.memory.enums import E_DELAY, N
+from ekf_companion.core.memory.enums import E_DELAY, E_HEADING, E_POS, N
 from ekf_companion.core.memory.scratch import Motion
 from tests.core.interpreted import load
 from tests.core.states import array, some_parameters
@@ -43,7 +43,7 @@ def test_a_correction_takes_its_gain_off_what_the_fault_adds_to_the_rows(rows, s
     rng = np.random.default_rng(rows)
     _memory, b, U = a_bank(o, rng)
     D = rng.normal(0.0, 1.0, (rows, 3))
-    load().columns.observe(b, o)
+    load().columns.observe(x, b, o)
     for i in range(b.n):
         array(b.T)[i, :rows, : i + 1] += D[:, : i + 1]
     b.is_observed = 1
@@ -93,3 +93,16 @@ def test_transitions_multiply_up_to_those_of_the_covariance():
     load().columns.follow(x, b)
     np.testing.assert_allclose(array(b.instance[0].U)[0], whole @ U[0, 0], rtol=1e-10, atol=1e-12)
     assert np.array_equal(array(b.Phi), np.eye(MOVING))
+
+
+def test_what_is_a_copy_of_another_error_owes_to_the_fault_what_that_does():
+    x, o, *_ = a_problem(4, 1)
+    _memory, b, U = a_bank(o, np.random.default_rng(4))
+    array(b.redrawn)[:] = array(x.redrawn)
+    last = N - 1
+    load().slow_error.copy_error(x, last, E_POS + 1, 1.0)
+    load().slow_error.reset_variance(x, E_HEADING, 1, 1.0)
+    load().columns.follow(x, b)
+    U[..., last], U[..., E_HEADING] = U[..., E_POS + 1], 0.0
+    for i in range(b.n):
+        np.testing.assert_allclose(array(b.instance[i].U)[: i + 1], U[i, : i + 1], rtol=1e-12)

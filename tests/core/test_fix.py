@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.memory.enums import (
+    CORE,
     E_GNSS,
     E_POS,
     Aid,
@@ -46,6 +47,7 @@ def navigating() -> State:
     load().yaw_bank.restart(x.yaw_bank, settings())
     x.t, x.mode, x.has_yaw, x.dt = NOW, Mode.NAVIGATE, 1.0, 0.01
     x.fix_t, x.fix_dt, x.raw_fix_t, x.armed, x.doubt = NOW - 0.2e9, 0.2, NOW, 1.0, 0.0
+    x.begun = N - CORE
     array(x.P)[:] = np.diag([1e-5] * 3 + [1e-3] * 3 + [0.1] * 3 + [1e-8] * 3 + [1e-6] * (N - 12))
     for aid in Aid:
         x.used_t[aid] = NOW

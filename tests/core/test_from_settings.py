@@ -32,7 +32,10 @@ def test_every_parameter_is_given():
     assert {name for name, one in given.items() if (one == 0.0).any()} == may_be_zero
     for declared in DECLARED:
         one = k.aid[Aid[declared.name.upper()]]
-        assert min(one.use, one.std, one.walk, one.speed_walk, one.error, one.errors) > 0.0
+        assert min(one.use, one.std, one.error, one.errors) > 0.0
+        for i, error in enumerate(declared.slow_errors.values()):
+            assert (one.walk[i] > 0.0) == (error.walk is not None)
+            assert (one.speed_walk[i] > 0.0) == (error.speed_walk is not None)
     for kind, prior in FAULTS.items():
         of = k.fault[kind]
         numbers = (of.source, of.rows, of.std, of.tail, of.rate, of.every, of.shows)

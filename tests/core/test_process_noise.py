@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.enums import E_HEADING, Aid, Azimuth
+from ekf_companion.core.memory.enums import E_BARO, E_HEADING, Aid, Azimuth
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Motion
 from tests.core.interpreted import load
-from tests.core.states import a_state, array, some_parameters
+from tests.core.states import a_state, array, let_walk, some_parameters
 
 
 def scaled(learns: bool, dt: float = 0.01):
@@ -15,7 +15,8 @@ def scaled(learns: bool, dt: float = 0.01):
     x, k, m = a_state(2), some_parameters(), Motion()
     k.gyro_noise, k.accel_noise, k.learn_noise = 2e-3, 3e-2, float(learns)
     k.gyro_bias_walk, k.accel_bias_walk = 1e-4, 1e-3
-    k.aid[Aid.BARO].walk, k.aid[Aid.BARO].speed_walk = 0.05, 0.01
+    let_walk(k, Aid.BARO, 0.05)
+    k.aid[Aid.BARO].speed_walk[0] = 0.01
     load().doubt.restart(x)
     load().walk.restart(x)
     x.pending.dt = dt
@@ -29,7 +30,7 @@ def test_without_learning_only_what_is_configured_counts():
     assert (m.gyro_walk, m.accel_walk) == pytest.approx((1e-4**2 * 0.01, 1e-3**2 * 0.01))
     assert m.new_bias == 0.0
     speed2 = np.dot(x.vel_n, x.vel_n)
-    assert m.aid_walk[Aid.BARO] == pytest.approx((0.05**2 + 0.01**2 * speed2) * 0.01)
+    assert m.slow_walk[E_BARO] == pytest.approx((0.05**2 + 0.01**2 * speed2) * 0.01)
 
 
 def test_what_is_doubted_adds_to_what_was_learnt():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.enums import E_BG, E_HEADING, E_POS, E_VEL, N
+from ekf_companion.core.memory.enums import CORE, E_BG, E_HEADING, E_POS, E_VEL, Aid, N
 from ekf_companion.core.memory.state import State
 from tests.core.interpreted import load
-from tests.core.states import array
+from tests.core.states import array, let_walk, some_parameters
 
 
 def a_covariance(seed: int) -> State:
@@ -81,3 +81,24 @@ def test_a_covariance_is_copied_and_cleared_whole():
     assert np.array_equal(array(x.P), array(y.P))
     load().slow_error.clear_covariance(x)
     assert not array(x.P).any()
+
+
+def test_the_errors_of_an_aid_are_carried_from_its_beginning_on():
+    x, k, slow_error = State(), some_parameters(), load().slow_error
+    let_walk(k, Aid.RANGE_FINDER, 0.1)
+    let_walk(k, Aid.BARO, 0.1)
+    assert slow_error.carried(x) == CORE
+    slow_error.carry(x, k, Aid.BARO)  # it is there without any
+    assert slow_error.carried(x) == CORE
+    slow_error.carry(x, k, Aid.RANGE_FINDER)
+    own = k.aid[Aid.RANGE_FINDER]
+    assert slow_error.carried(x) == own.error + own.errors
+    assert CORE < slow_error.carried(x) <= N
+
+
+def test_it_is_known_of_which_error_another_is_a_copy():
+    x = a_covariance(3)
+    load().slow_error.copy_error(x, E_HEADING, E_BG, 1.0)
+    assert x.copied[E_HEADING] == E_BG
+    load().slow_error.reset_variance(x, E_HEADING, 1, 1.0)
+    assert x.copied[E_HEADING] == -1

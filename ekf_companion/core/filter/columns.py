@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.memory.bank import MOVING, Bank
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
@@ -80,13 +81,13 @@ def follow(x: State, b: Bank) -> None:
     for e in range(N):
         if x.redrawn[e] != b.redrawn[e]:
             b.redrawn[e] = x.redrawn[e]
-            # an aid's offset was found by the height and a reading, which has the fault in it;
-            # nothing else owes to what was before
-            is_offset = cython.declare(cython.bint, e == E_BARO or e >= E_GNSS_VEL + 3)
+            # a copy of an error and a reading has the fault of both in it; nothing else owes to
+            # what was before
+            source = cython.cast(cython.Py_ssize_t, x.copied[e])
             for i in range(b.n):
                 h = address(b.instance[i])
                 for c in range(h.rows):
-                    h.U[c][e] = h.U[c][E_POS + 2] if is_offset else 0.0
+                    h.U[c][e] = h.U[c][source] if source >= 0 else 0.0
                 if e == E_BARO and h.kind == FAULT_BARO_STEP:
                     h.U[0][e] -= 1.0
                 elif e == E_BARO and h.kind == FAULT_BARO_RAMP:
@@ -128,14 +129,15 @@ def look_ahead(b: Bank, u: Vector, out: Vector) -> None:
         out[E_POS + i] = pos
 
 
-def observe(b: Bank, o: Observation) -> None:
+def observe(x: State, b: Bank, o: Observation) -> None:
     """Write into T what each component does to the rows of an observation, by the state: H U."""
     for i in range(b.n):
         for r in range(o.rows):
             for c in range(3):
                 b.T[i][r][c] = 0.0
+    n = carried(x)
     for r in range(o.rows):
-        for e in range(N):
+        for e in range(n):
             slope = o.H[r][e]
             if slope != 0.0:
                 for i in range(b.n):
@@ -148,7 +150,7 @@ def take_rows(x: State, b: Bank, o: Observation) -> None:
     """Take T for a correction: as it was judged, or else by the state alone."""
     if b.is_observed == 0:
         follow(x, b)
-        observe(b, o)
+        observe(x, b, o)
     b.is_observed = 0
 
 
@@ -160,6 +162,7 @@ def correct(x: State, o: Observation) -> None:
     """
     b = address(o.bank[0])
     take_rows(x, b, o)
+    n = carried(x)
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):
@@ -170,7 +173,7 @@ def correct(x: State, o: Observation) -> None:
                     s -= o.L[r][j] * b.T[i][j][c]
                 s /= o.L[r][r]
                 b.T[i][r][c] = s
-                for e in range(N):
+                for e in range(n):
                     h.U[c][e] -= o.PHt[r][e] * s
             if o.shows_delay == 0:
                 h.U[c][E_DELAY] = delay
@@ -181,10 +184,11 @@ def correct_yaw(x: State, o: Observation) -> None:
     """The same of a correction of yaw alone, by ``o.gain``."""
     b = address(o.bank[0])
     take_rows(x, b, o)
+    n = carried(x)
     for i in range(b.n):
         h = address(b.instance[i])
         for c in range(h.rows):
-            for e in range(N):
+            for e in range(n):
                 h.U[c][e] -= o.gain[e] * b.T[i][0][c]
             turn(h.U[c], o.dx)
 

@@ -8,12 +8,13 @@ Source: Groves 2013, chapter 14; Sola 2017, section 7 (global angular error).
 
 from __future__ import annotations
 
-import cython
+from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.filter.strapdown import forget_pending
 from cython.cimports.ekf_companion.core.memory.enums import (
-    AIDS,
+    CORE,
     E_ATT,
     E_BA,
+    E_BARO,
     E_BG,
     E_GNSS,
     E_GNSS_VEL,
@@ -40,8 +41,9 @@ def propagate_covariance(x: State, k: Parameters, m: Motion) -> None:
     dt = x.pending.dt
     if dt == 0.0:
         return
+    n = carried(x)
     write_transition_blocks(x, m)
-    multiply_rows(x, m, dt)
+    multiply_rows(x, m, dt, n)
     multiply_columns(x, m, dt)
     add_noise(x, k, m, dt)
 
@@ -57,7 +59,7 @@ def propagate_covariance(x: State, k: Parameters, m: Motion) -> None:
         for j in range(i + 1, 9):
             x.P[j][i] = x.P[i][j]
     for i in range(9):
-        for j in range(9, N):
+        for j in range(9, n):
             x.P[j][i] = x.P[i][j]
     forget_pending(x)
 
@@ -84,7 +86,7 @@ def write_transition_blocks(x: State, m: Motion) -> None:
             )
 
 
-def multiply_rows(x: State, m: Motion, dt: float) -> None:
+def multiply_rows(x: State, m: Motion, dt: float, n: int) -> None:
     """Multiply P by Phi from the left: the nine rows of position, velocity, attitude."""
     h = 0.5 * dt
     # position first, then velocity, then attitude: each from what is still old
@@ -98,21 +100,21 @@ def multiply_rows(x: State, m: Motion, dt: float) -> None:
         b0 = m.SG[i][0]
         b1 = m.SG[i][1]
         b2 = m.SG[i][2]
-        for j in range(N):
+        for j in range(n):
             # the force's part of the velocity's row serves the position too, halved by dt/2
             m.row[j] = (s0 * x.P[E_ATT][j] + s1 * x.P[E_ATT + 1][j] + s2 * x.P[E_ATT + 2][j]) + (
                 g0 * x.P[E_BA][j] + g1 * x.P[E_BA + 1][j] + g2 * x.P[E_BA + 2][j]
             )
             m.row2[j] = b0 * x.P[E_BG][j] + b1 * x.P[E_BG + 1][j] + b2 * x.P[E_BG + 2][j]
-        for j in range(N):
+        for j in range(n):
             x.P[E_POS + i][j] += dt * x.P[E_VEL + i][j] + h * (m.row[j] + (2.0 / 3.0) * m.row2[j])
-        for j in range(N):
+        for j in range(n):
             x.P[E_VEL + i][j] += m.row[j] + m.row2[j]
     for i in range(3):
         g0 = m.G[i][0]
         g1 = m.G[i][1]
         g2 = m.G[i][2]
-        for j in range(N):
+        for j in range(n):
             x.P[E_ATT + i][j] += g0 * x.P[E_BG][j] + g1 * x.P[E_BG + 1][j] + g2 * x.P[E_BG + 2][j]
 
 
@@ -163,10 +165,9 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
         x.P[E_BA + j][E_BA + j] += m.accel_walk
         x.P[E_BA + j][E_BA + j] += m.new_bias
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
-    for aid in range(AIDS):
-        first = cython.cast(cython.Py_ssize_t, k.aid[aid].error)
-        for e in range(first, first + cython.cast(cython.Py_ssize_t, k.aid[aid].errors)):
-            x.P[e][e] += m.aid_walk[aid]
+    x.P[E_BARO][E_BARO] += m.slow_walk[E_BARO]
+    for e in range(CORE, carried(x)):
+        x.P[e][e] += m.slow_walk[e]
 
 
 def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:
@@ -217,8 +218,9 @@ def decay(x: State, e: int, g: float, level: float) -> None:
 
     Within the first nine rows only the column is written: those are mirrored afterwards.
     """
-    for j in range(N):
+    n = carried(x)
+    for j in range(n):
         x.P[j][e] -= g * x.P[j][e]
-    for j in range(9, N):
+    for j in range(9, n):
         x.P[e][j] -= g * x.P[e][j]
     x.P[e][e] += g * (2.0 - g) * level

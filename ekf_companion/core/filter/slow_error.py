@@ -5,9 +5,23 @@ With :mod:`.update` and :mod:`.covariance` the only place that writes P.
 
 from __future__ import annotations
 
+import cython
 from cython.cimports.ekf_companion.core.memory.bank import Bank
-from cython.cimports.ekf_companion.core.memory.enums import AID_BARO, AIDS, N
+from cython.cimports.ekf_companion.core.memory.enums import AID_BARO, AIDS, CORE, N
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.state import State
+
+
+def carried(x: State) -> int:
+    """Return how many error states are carried: those beyond are of aids that have not begun."""
+    return CORE + cython.cast(cython.Py_ssize_t, x.begun)
+
+
+def carry(x: State, k: Parameters, aid: int) -> None:
+    """Carry the slow errors of an aid from now on."""
+    beyond = k.aid[aid].error + k.aid[aid].errors - CORE
+    if beyond > x.begun:
+        x.begun = beyond
 
 
 def reset_variance(x: State, first: int, count: int, variance: float) -> None:
@@ -17,6 +31,7 @@ def reset_variance(x: State, first: int, count: int, variance: float) -> None:
     """
     for i in range(first, first + count):
         x.redrawn[i] += 1.0
+        x.copied[i] = -1.0
         for j in range(N):
             x.P[i][j] = 0.0
             x.P[j][i] = 0.0
@@ -59,6 +74,7 @@ def copy_error(x: State, e: int, source: int, variance: float) -> None:
         x.P[j][e] = x.P[source][j]
     x.P[e][e] = x.P[source][source] + variance
     x.redrawn[e] += 1.0
+    x.copied[e] = source
 
 
 def forget_offsets(x: State) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import cython
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.rotation import rotate
+from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.memory.bank import Instance
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -38,22 +39,23 @@ def innovate(x: State, o: Observation) -> float:
     An S that is not positive definite gives NaN, which is within no gate.
     """
     nis = 0.0
+    n = carried(x)
 
     # P H'
     for r in range(o.rows):
         for i in range(N):
             o.PHt[r][i] = 0.0
-        for j in range(N):
+        for j in range(n):
             h = o.H[r][j]
             if h != 0.0:
-                for i in range(N):
+                for i in range(n):
                     o.PHt[r][i] += h * x.P[j][i]
 
     # S = H P H' + R, its factor, the innovation whitened by it
     for r in range(o.rows):
         for c in range(r + 1):
             s = o.R[r][c]
-            for j in range(N):
+            for j in range(n):
                 s += o.H[r][j] * o.PHt[c][j]
             for j in range(c):
                 s -= o.L[r][j] * o.L[c][j]
@@ -87,26 +89,27 @@ def apply_update(x: State, o: Observation) -> None:
     variance what it was (Schmidt 1966).
     """
     delay_var = x.P[E_DELAY][E_DELAY]
+    n = carried(x)
     for i in range(N):
         o.dx[i] = 0.0
     for r in range(o.rows):
         # the gain of one whitened scalar is a column of P H' L^-T
         for c in range(r):
             s = o.L[r][c]
-            for i in range(N):
+            for i in range(n):
                 o.PHt[r][i] -= s * o.PHt[c][i]
         s = 1.0 / o.L[r][r]
-        for i in range(N):
+        for i in range(n):
             o.PHt[r][i] *= s
             o.dx[i] += o.PHt[r][i] * o.y[r]
-        for i in range(N):
+        for i in range(n):
             s = o.PHt[r][i]
-            for j in range(i, N):
+            for j in range(i, n):
                 x.P[i][j] -= s * o.PHt[r][j]
     if o.shows_delay == 0:
         o.dx[E_DELAY] = 0.0
         x.P[E_DELAY][E_DELAY] = delay_var
-    for i in range(N):
+    for i in range(n):
         if x.P[i][i] < 0.0:
             x.P[i][i] = LEAST_VARIANCE
         for j in range(i):
@@ -129,6 +132,7 @@ def apply_yaw_update(x: State, o: Observation) -> None:
     """
     down = 0.0
     s = o.L[0][0] * o.L[0][0]
+    n = carried(x)
     for i in range(N):
         o.gain[i] = 0.0
     o.gain[E_ATT + 2] = o.PHt[0][E_ATT + 2] / s
@@ -140,11 +144,12 @@ def apply_yaw_update(x: State, o: Observation) -> None:
         o.gain[E_IRON + i] = o.PHt[0][E_IRON + i] / s
     for i in range(N):
         o.dx[i] = o.gain[i] * o.z[0]
-        for j in range(i, N):
+    for i in range(n):
+        for j in range(i, n):
             x.P[i][j] += (
                 o.gain[i] * s * o.gain[j] - o.gain[i] * o.PHt[0][j] - o.PHt[0][i] * o.gain[j]
             )
-    for i in range(N):
+    for i in range(n):
         for j in range(i):
             x.P[i][j] = x.P[j][i]
     inject(x, o)
@@ -192,9 +197,10 @@ def inject(x: State, o: Observation) -> None:
     dz = 0.5 * o.dx[2]
     rotate(x.q_nb, o.dx[0], o.dx[1], o.dx[2])
     value = errors(x)
-    for i in range(N - E_VEL):
+    n = carried(x)
+    for i in range(n - E_VEL):
         value[i] += o.dx[E_VEL + i]
-    for i in range(N):
+    for i in range(n):
         p0 = x.P[0][i]
         p1 = x.P[1][i]
         p2 = x.P[2][i]
@@ -211,7 +217,7 @@ def inject(x: State, o: Observation) -> None:
     x.P[1][0] = x.P[0][1]
     x.P[2][0] = x.P[0][2]
     x.P[2][1] = x.P[1][2]
-    for i in range(3, N):
+    for i in range(3, n):
         x.P[i][0] = x.P[0][i]
         x.P[i][1] = x.P[1][i]
         x.P[i][2] = x.P[2][i]

@@ -31,9 +31,13 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class SlowError:
-    """One error state, which walks by the settings ``walk`` and ``speed_walk``."""
+    """One error state, which walks by the named settings of its aid."""
 
     unit: str
+    walk: str | None = "walk"
+    """Of its unit by sqrt(s); None: it keeps still."""
+    speed_walk: str | None = "speed_walk"
+    """The same for each m/s of speed."""
 
 
 @dataclass(frozen=True, slots=True)

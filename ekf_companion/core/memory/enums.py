@@ -317,9 +317,12 @@ E_IRON = 21
 """Hard iron: the vehicle's own magnetic field, in b."""
 E_GNSS_VEL = 24
 """Slow error of the receiver's velocity, in n."""
-N = 27
+CORE = 27
+"""Error states that are there without any aid that only its own file names."""
+N = CORE
 SLOW_ERRORS = {"baro": E_BARO}
 """Where the slow errors of each aid begin; of those that only their own files name, at the end."""
+MOST_SLOW_ERRORS = max(len(_one.slow_errors) for _one in DECLARED)
 for _one in DECLARED:
     if _one.slow_errors and _one.name not in SLOW_ERRORS:
         SLOW_ERRORS[_one.name] = N

@@ -6,7 +6,10 @@
 from typing import Annotated
 
 from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
-from ekf_companion.core.memory.enums import AIDS, FAULTS, RUNS
+from ekf_companion.core.memory.enums import AIDS, FAULTS, MOST_SLOW_ERRORS, RUNS
+
+MOST_OWN = 12
+"""Settings that an aid may have beside ``use``, ``std`` and its walks, a vector's each counted."""
 
 
 @struct
@@ -16,10 +19,12 @@ class AidParameters:
     use: Real
     std: Real
     """White noise, of the unit of its measurement."""
-    walk: Real
-    """Random walk of its slow errors, of that unit by sqrt(s)."""
-    speed_walk: Real
+    walk: Annotated[Vector, MOST_SLOW_ERRORS]
+    """Random walk of its slow errors, of their units by sqrt(s)."""
+    speed_walk: Annotated[Vector, MOST_SLOW_ERRORS]
     """The same for each m/s of speed."""
+    own: Annotated[Vector, MOST_OWN]
+    """Its other settings, in the order in which they are declared."""
     error: Real
     """The first of its slow errors in P."""
     errors: Real

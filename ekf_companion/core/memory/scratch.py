@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from ekf_companion.core.memory.bank import INSTANCES, Bank
 from ekf_companion.core.memory.declare import Count, Real, Vector, doubles, struct, union
-from ekf_companion.core.memory.enums import AIDS, RUNS, YAW_FILTERS, YAW_N, N
+from ekf_companion.core.memory.enums import RUNS, YAW_FILTERS, YAW_N, N
 from ekf_companion.core.memory.state import Reference, State
 from ekf_companion.nav.measurements import WIDTH
 
@@ -205,7 +205,7 @@ class Motion:
     """Likewise of an accelerometer bias, (m/s^2)^2."""
     new_bias: Real
     """What that may have jumped by besides, (m/s^2)^2."""
-    aid_walk: Annotated[Vector, AIDS]
+    slow_walk: Annotated[Vector, N]
     """Likewise of each of an aid's slow errors, of the square of its unit."""
     slow_dt: Real
     """Time over which the slow errors were carried on with this interval, s; 0: they were not."""

@@ -533,6 +533,8 @@ class Learnt:
     """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
+    begun: Real
+    """Error states of aids that are carried beyond the first CORE: of those that have begun."""
     has_yaw: Real
     has_aid: Annotated[Vector, AIDS]
     """Whether the slow errors of an aid that declares itself have been found, by number."""
@@ -721,6 +723,8 @@ class Evidence:
     log_likelihood: Real
     """Sum over the receiver's innovations; compares settings, nothing reads it."""
     yaw_bank: YawBank
+    copied: Annotated[Vector, N]
+    """Of which error state each was last made a copy, with white noise; -1: of none."""
     redrawn: Annotated[Vector, N]
     """How often each error state was given a new variance, uncorrelated with the others."""
 

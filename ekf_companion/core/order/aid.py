@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cython import address
+from cython.cimports.ekf_companion.core.filter.slow_error import carry
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     MODE_LEVEL,
@@ -46,6 +47,7 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
         # where faults are weighed a long refusal is judged by them, and ends by no time-out
         if k.weighs_faults == WEIGH_ACT or not gate.is_timed_out(x, aid, k.timeout_height):
             return
+    carry(x, k, aid)
     if not dispatch.begin(x, k, aid, row):
         gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
         return

@@ -229,6 +229,7 @@ def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
         reset_variance(x, E_HEADING, 1, 1.0)
         add_variance(x, E_ATT + 2, o.z[0] * o.z[0])
         x.redrawn[E_ATT + 2] += 1.0
+        x.copied[E_ATT + 2] = -1.0
         innovate(x, o)
         apply_yaw_update(x, o)
         x.moved.yaw += o.dx[E_ATT + 2]

@@ -1,5 +1,6 @@
 """The kernel's numbers, from the user's settings and the autopilot's family."""
 
+import dataclasses
 import math
 from statistics import NormalDist
 from typing import Any
@@ -66,7 +67,16 @@ def parameters(
     for one in DECLARED:
         own, numbers_of = getattr(settings, one.name), k.aid[Aid[one.name.upper()]]
         numbers_of.use, numbers_of.std = own.use, own.std
-        numbers_of.walk, numbers_of.speed_walk = own.walk, own.speed_walk
+        errors = one.slow_errors.values()
+        walks, speed_walks = [e.walk for e in errors], [e.speed_walk for e in errors]
+        numbers_of.walk[: len(walks)] = [getattr(own, name) if name else 0.0 for name in walks]
+        numbers_of.speed_walk[: len(walks)] = [
+            getattr(own, name) if name else 0.0 for name in speed_walks
+        ]
+        known = {"use", "std", *walks, *speed_walks}
+        rest = [getattr(own, f.name) for f in dataclasses.fields(own) if f.name not in known]
+        flat = np.hstack([[], *rest])
+        numbers_of.own[: len(flat)] = flat
         numbers_of.error, numbers_of.errors = SLOW_ERRORS.get(one.name, 0), len(one.slow_errors)
     k.align_time, k.use_rest = settings.align.time, settings.align.use_rest
     k.rest_gyro, k.rest_accel = settings.align.rest_gyro, settings.align.rest_accel

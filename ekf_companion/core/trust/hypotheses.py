@@ -111,7 +111,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     if is_weighed:
         onsets.begin_instances(x, k, b, o, aid)
         b.weighed_t[aid] = x.t
-    columns.observe(b, o)
+    columns.observe(x, b, o)
     b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])

@@ -62,12 +62,14 @@ def scale_noise(x: State, k: Parameters, m: Motion) -> None:
     walk.note_gyro_walk(x, m.gyro_walk)
     speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
     for aid in range(AIDS):
-        steady = k.aid[aid].walk * k.aid[aid].walk * dt
-        by_speed = k.aid[aid].speed_walk * k.aid[aid].speed_walk * speed2 * dt
-        if aid == AID_BARO:
-            by_speed *= x.walk.speed_share if k.learn_noise != 0.0 else 1.0
-            walk.note_baro_walk(x, steady, by_speed, speed2)
-        m.aid_walk[aid] = steady + by_speed
+        first = cython.cast(cython.Py_ssize_t, k.aid[aid].error)
+        for i in range(cython.cast(cython.Py_ssize_t, k.aid[aid].errors)):
+            steady = k.aid[aid].walk[i] * k.aid[aid].walk[i] * dt
+            by_speed = k.aid[aid].speed_walk[i] * k.aid[aid].speed_walk[i] * speed2 * dt
+            if aid == AID_BARO:
+                by_speed *= x.walk.speed_share if k.learn_noise != 0.0 else 1.0
+                walk.note_baro_walk(x, steady, by_speed, speed2)
+            m.slow_walk[first + i] = steady + by_speed
 
     # What changes within a minute need not be carried on every few milliseconds
     x.slow_dt += dt
