@@ -87,7 +87,7 @@ def test_a_velocity_worse_than_0_1_m_s_has_a_larger_slow_error(stated, factor):
     x, k = navigating(), settings()
     k.learn_noise, x.white_share[2] = 0.0, 1.0
     load().fix.read_fix(x, k, Fix(), a_row(std=(1.0, 1.0, stated)))
-    assert x.gnss_vel_offset_var == pytest.approx((factor * k.gnss_vel_slow_std) ** 2)
+    assert list(x.gnss_vel_offset_var) == pytest.approx([(factor * k.gnss_vel_slow_std) ** 2] * 2)
 
 
 @pytest.mark.parametrize(("share", "is_bound"), [(1.04, False), (1.06, True), (9.0, True)])

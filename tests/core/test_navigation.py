@@ -52,7 +52,7 @@ def flown(mode: Mode = Mode.NAVIGATE) -> State:
     x.origin, x.t, x.mode = known.origin, NOW, mode
     root = np.random.default_rng(2).normal(0.0, 1e-3, (N, N))
     array(x.P)[:] = root @ root.T
-    x.gnss_offset_var[:], x.gnss_vel_offset_var = [0.5, 2.0], 0.01
+    x.gnss_offset_var[:], x.gnss_vel_offset_var[:] = [0.5, 2.0], [0.01, 0.01]
     return x
 
 

@@ -181,7 +181,7 @@ def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:
     faded = dt / (dt + k.gnss_vel_offset_time)
     for i in range(3):
         x.gnss_vel_offset[i] -= faded * x.gnss_vel_offset[i]
-        decay(x, E_GNSS_VEL + i, faded, x.gnss_vel_offset_var)
+        decay(x, E_GNSS_VEL + i, faded, x.gnss_vel_offset_var[0 if i < 2 else 1])
 
 
 def write_transition(k: Parameters, m: Motion, dt: float, Phi: Square) -> None:

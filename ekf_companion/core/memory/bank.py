@@ -124,6 +124,8 @@ class Bank:
     """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
     restless: Annotated[Vector, 3]
     """Square of what was declared of a source that had just failed: position n e d, m^2."""
+    let_go: Annotated[Vector, 2]
+    """Square of what a reset took over of a held offset of position and height, m^2; it fades."""
     natural: Annotated[Vector, 2]
     """Variance of the slow error of position and height where nothing was declared, m^2."""
     drift: Annotated[Vector, 4]

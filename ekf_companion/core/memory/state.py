@@ -704,8 +704,8 @@ class Evidence:
     """Likewise of a change of the vertical velocity alone: 1 a fall, -1 a rise, 0 none."""
     fall_gap: Real
     """What its vertical velocity gained lately beyond what the samples felt, m/s."""
-    gnss_vel_offset_var: Real
-    """Variance that the slow error of the velocity has in the long run, (m/s)^2."""
+    gnss_vel_offset_var: Annotated[Vector, 2]
+    """Variance that the slow error of the velocity has in the long run: level, vertical, (m/s)^2."""
     gnss_offset_var: Annotated[Vector, 2]
     """Variance of the slow error of its position: horizontal, vertical, m^2."""
     last_z: Annotated[Vector, RUNS, 3]

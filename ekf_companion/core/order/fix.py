@@ -190,6 +190,8 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
 
 def widen_offsets(x: State, b: Bank) -> None:
     """Leave an offset as uncertain as a declared fault has made it, as long as that is held."""
+    for level in range(2):
+        x.gnss_offset_var[level] += b.let_go[level]
     b.natural[0] = x.gnss_offset_var[0]
     b.natural[1] = x.gnss_offset_var[1]
     for i in range(3):
@@ -198,8 +200,8 @@ def widen_offsets(x: State, b: Bank) -> None:
         if b.held[i] != 0.0 and x.P[E_GNSS + i][E_GNSS + i] > x.gnss_offset_var[level]:
             x.gnss_offset_var[level] = x.P[E_GNSS + i][E_GNSS + i]
         square = x.gnss_vel_offset[i] * x.gnss_vel_offset[i]
-        if square > THREE_SIGMA2 * x.gnss_vel_offset_var:
-            x.gnss_vel_offset_var = square
+        if square > THREE_SIGMA2 * x.gnss_vel_offset_var[level]:
+            x.gnss_vel_offset_var[level] = square
 
 
 def learn_field(x: State, values: GnssRow) -> None:
@@ -239,7 +241,8 @@ def read_fix(x: State, k: Parameters, fix: Fix, values: GnssRow) -> None:
             slow *= doubt.receiver_share(x) if k.learn_noise != 0.0 else 1.0
             white = sqrt(share * fix.stated_var[aid])
             slow *= white / GOOD_VELOCITY if white > GOOD_VELOCITY else 1.0
-            x.gnss_vel_offset_var = slow * slow
+            x.gnss_vel_offset_var[0] = slow * slow
+            x.gnss_vel_offset_var[1] = slow * slow
         least = k.gnss_floor[aid]
         if aid == AID_VELOCITY and k.learn_noise != 0.0:
             least = least * doubt.receiver_share(x)

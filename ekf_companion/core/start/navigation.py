@@ -41,6 +41,7 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.start import align, yaw_reset
 from cython.cimports.ekf_companion.core.trust import slide
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset, count_verdict, note_used
+from cython.cimports.ekf_companion.core.trust.repair import let_go
 from cython.cimports.ekf_companion.core.trust.shape import take_off
 
 LEAST_YAW_VAR = cython.declare(cython.double, 2.5e-3)
@@ -155,6 +156,8 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
     o = address(w.observation)
     for i in range(2):
         x.gnss_offset[i] = 0.0
+    if k.weighs_faults == WEIGH_ACT:
+        let_go(x, address(o.bank[0]), 0, 1)
     reset_variance(x, E_GNSS, 2, x.gnss_offset_var[0])
     reset_variance(x, E_POS, 2, ANY)
     gnss.position(x, k, address(w.fix), o)
@@ -178,6 +181,8 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     o = address(w.observation)
     forget_offsets(x)
     x.gnss_offset[2] = 0.0
+    if k.weighs_faults == WEIGH_ACT:
+        let_go(x, address(o.bank[0]), 2, 2)
     reset_variance(x, E_GNSS + 2, 1, x.gnss_offset_var[1])
     reset_variance(x, E_POS + 2, 1, ANY)
     gnss.height(x, k, address(w.fix), o)
@@ -193,18 +198,24 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     note_used(x, AID_HEIGHT)
 
 
+def redraw_vel_offset(x: State) -> None:
+    """Draw the error of the receiver's slow velocity anew, by what it is in the long run."""
+    reset_variance(x, E_GNSS_VEL, 2, x.gnss_vel_offset_var[0])
+    reset_variance(x, E_GNSS_VEL + 2, 1, x.gnss_vel_offset_var[1])
+
+
 def forget_vel_offset(x: State) -> None:
     """Forget the slow error of the velocity: what taught it is wrong, or of before."""
     for i in range(3):
         x.gnss_vel_offset[i] = 0.0
-    reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
+    redraw_vel_offset(x)
 
 
 def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
     """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s."""
     o = address(w.observation)
     if k.weighs_faults == WEIGH_ACT:  # a declared fault lives on in it
-        reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
+        redraw_vel_offset(x)
     else:
         forget_vel_offset(x)
     reset_variance(x, E_VEL, 3, ANY)

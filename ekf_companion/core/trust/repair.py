@@ -339,6 +339,20 @@ def hold(b: Bank, axis: int, offset: float) -> None:
     b.drift[axis] = 0.0
 
 
+def let_go(x: State, b: Bank, first: int, last: int) -> None:
+    """Hold no offset of a position that is drawn anew from the receiver's.
+
+    Whether the fault has ended since, nothing shows any more: what was known of it is forgotten
+    with the hypotheses. So the whole of it may be there, or none, until such a fault is over.
+    """
+    for axis in range(first, last + 1):
+        square = b.held[axis] * b.held[axis]
+        b.let_go[0 if axis < 2 else 1] += square
+        x.gnss_offset_var[0 if axis < 2 else 1] += square
+        b.held[axis] = 0.0
+        b.drift[axis] = 0.0
+
+
 def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
     """Let a slide go on by a rate that was found; one that ends has the same against it."""
     b.drift[axis] = b.before[axis] + rate
@@ -366,6 +380,9 @@ def hold_found(x: State, b: Bank) -> None:
 
 def drive(x: State, b: Bank, first: int, last: int) -> None:
     """Move the offsets of declared slides on to now, and let those walk that are restless."""
+    if first == 0:
+        for level in range(2):
+            b.let_go[level] *= exp(-x.fix_dt / FADES)
     for axis in range(first, last + 1):
         if axis < 3 and b.restless[axis] > 0.0:
             kept = exp(-x.fix_dt / FADES)
