@@ -36,6 +36,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SHOWS_VERTICAL,
     SOURCE_BARO,
     SOURCE_CLIMB,
+    SOURCE_DRAG,
     SOURCE_FALL,
     SOURCE_HEIGHT,
     SOURCE_NOISE,
@@ -293,12 +294,12 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
         h = address(b.instance[i])
         source = k.fault[h.kind].source
         if aid == AID_VELOCITY:
-            if source == SOURCE_VELOCITY:
+            if source == SOURCE_VELOCITY or source == SOURCE_DRAG:
                 first += h.p
             elif source == SOURCE_CLIMB or source == SOURCE_FALL:
                 down += h.p
         elif aid == AID_POSITION:
-            if source == SOURCE_POSITION:
+            if source == SOURCE_POSITION or source == SOURCE_DRAG:
                 first += h.p
         elif aid == AID_HEIGHT:
             if source == SOURCE_HEIGHT or source == SOURCE_FALL:
