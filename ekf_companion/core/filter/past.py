@@ -1,4 +1,4 @@
-"""The velocity of the last half second: what it was when a late fix was true.
+"""The velocity of the last two seconds: what it was when a late fix was true.
 
 A fix is fused at the time when it was true by the configured delay; by the estimated one it was
 true some hundredths or tenths of a second earlier. Over such a time the acceleration changes, so
@@ -27,7 +27,7 @@ INTERVALS = cython.declare(cython.double, 2.0)
 may lie half an interval to either side of where it shows. In gusts an airplane's roll was 1.0 deg
 off with one, 0.33, 0.28 and 0.27 with 1.5, 2 and 2.5."""
 LONGEST = cython.declare(cython.double, 0.5)
-"""The same in seconds: PAST times STEP are 0.525."""
+"""The same in seconds, at most."""
 RANDOM_WALK = cython.declare(cython.double, 15.0)
 """A random walk leaves a fifteenth of its variance at the end about its own straight line: a sixth
 about its mean, less a tenth that the slope takes."""

@@ -13,6 +13,8 @@ INSTANCES = 512
 """Most that are kept; the least probable goes where there is no room."""
 FOUND = 32
 """Faults that are kept to be told."""
+DELAYS = 15
+"""Delays of the fixes that are compared."""
 MOVING = 15
 """Error states that a transition mixes: attitude, velocity, position, both biases."""
 
@@ -124,6 +126,8 @@ class Bank:
     """Offset by declared faults, taken off the readings: position n e d, barometer, m."""
     restless: Annotated[Vector, 3]
     """Square of what was declared of a source that had just failed: position n e d, m^2."""
+    delay_cost: Annotated[Vector, DELAYS]
+    """What the last velocities of fixes cost, by how late they are taken to be."""
     let_go: Annotated[Vector, 2]
     """Square of what a reset took over of a held offset of position and height, m^2; it fades."""
     natural: Annotated[Vector, 2]

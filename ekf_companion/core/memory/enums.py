@@ -338,8 +338,8 @@ HEADINGS = 3
 one, both of the magnetic field as one."""
 RUNS = 3
 """Aids whose refused innovations are tested for consistency: position, height, velocity."""
-PAST = 15
-"""Velocities that are kept, 35 ms apart."""
+PAST = 64
+"""Velocities that are kept, 35 ms apart: of two seconds, as a fix may be late."""
 YAW_FILTERS = 8
 YAW_N = 9
 """States of one yaw filter: velocity (2), yaw, tilt (2), gyro bias (3), delay."""

@@ -415,7 +415,7 @@ class YawBank:
 
 @struct
 class Past:
-    """The velocity that the samples have gained, now and over the last half second."""
+    """The velocity that the samples have gained, now and over the last two seconds."""
 
     gained: Annotated[Vector, 3]
     """Until now, in n, m/s."""

@@ -30,6 +30,8 @@ from cython.cimports.ekf_companion.core.order.interval import inflate_after_gap
 from cython.cimports.ekf_companion.core.trust import doubt, gate, leap, magnetic_field, walk
 from cython.cimports.libc.math import fabs
 
+LATEST = cython.declare(cython.double, 2.0)
+"""A fix that is later than the velocity is kept for can be none, s."""
 RESTORE_AGAIN = cython.declare(cython.double, 1e10)
 """A second unsound state within this time is not restored but starts the filter over, ns."""
 FIRST_SHARE = cython.declare(cython.double, 0.3)
@@ -100,7 +102,7 @@ def is_sound(x: State) -> bool:
     bias = 0.0
     largest = x.q_nb[0] * x.q_nb[0]
     estimates = errors(x)
-    if not fabs(x.gnss_delay) < 1.0:
+    if not fabs(x.gnss_delay) < LATEST:
         return False
     for i in range(3):
         speed += x.vel_n[i] * x.vel_n[i]

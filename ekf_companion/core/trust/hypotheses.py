@@ -48,7 +48,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import onsets, score, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, onsets, score, shape
 from cython.cimports.libc.math import exp, fabs, log
 
 GATE = cython.declare(cython.double, 9.0)
@@ -94,6 +94,7 @@ def begin(b: Bank) -> None:
         if not b.common[aid] >= 1.0:
             b.common[aid] = 1.0
     score.begin(b)
+    delay_search.forget(b)
     columns.stand(b)
 
 
@@ -109,6 +110,8 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     is_weighed = cython.declare(
         cython.bint, aid <= AID_VELOCITY or x.t - b.weighed_t[aid] >= SPACING
     )
+    if aid == AID_VELOCITY:
+        delay_search.compare(x, b, o)
     if is_weighed:
         onsets.begin_instances(x, k, b, o, aid)
         b.weighed_t[aid] = x.t

@@ -62,7 +62,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import shape
+from cython.cimports.ekf_companion.core.trust import delay_search, shape
 from cython.cimports.ekf_companion.core.trust.onsets import drop
 from cython.cimports.libc.math import exp, log
 
@@ -141,7 +141,7 @@ def tell(x: State, b: Bank, h: Instance) -> None:
     b.found[last].until = x.t
     b.found[last].evidence = h.evidence
     for c in range(3):
-        b.found[last].b[c] = h.b[c]
+        b.found[last].b[c] = h.b[c] if h.M[c][c] > 0.0 else 0.0
         b.found[last].var[c] = h.M[c][c]
 
 
@@ -223,6 +223,11 @@ def doubt_it(k: Parameters, h: Instance, o: Observation, p: float) -> None:
     for c in range(h.rows):
         h.b[c] = -h.b[c]
         turn(h.U[c], o.dx)
+    if h.kind == FAULT_DELAY:  # of which the last component is one, whatever it is
+        h.b[1] = 1.0
+        for e in range(N):
+            h.U[1][e] = -h.U[1][e]
+        delay_search.forget(address(o.bank[0]))
 
 
 def carry(x: State, b: Bank, h: Instance) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.filter.past import gained_until
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -63,8 +64,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import delay_search
 from cython.cimports.libc.math import exp
 
+SLOPE = cython.declare(cython.double, 60e6)
+"""Half the time over which an acceleration is a mean, ns: as :mod:`~.filter.past` has it."""
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
@@ -116,6 +120,11 @@ def begin(x: State, b: Bank, h: Instance) -> None:
     elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
         h.U[0][E_POS + 2] = -1.0
         h.U[0][E_BARO] = -1.0
+    elif kind == FAULT_DELAY:  # about what fits best; what that adds is known, and no part of b
+        h.b[0] = delay_search.best(b)
+        h.rows = 2
+        h.b[1] = 1.0
+        h.M[1][1] = 0.0
     elif kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT:
         h.b[0] = 1.0
         h.M[0][0] = end_variance(x, b, kind) / held_square(b, kind)
@@ -158,7 +167,38 @@ def take_off(x: State, o: Observation, aid: int) -> None:
 
 def add_direct(x: State, b: Bank, h: Instance, o: Observation, aid: int, T: Dcm) -> None:
     """Add to T what a fault adds to the reading itself: D."""
-    add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
+    if h.kind != FAULT_DELAY:
+        add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
+    elif aid <= AID_VELOCITY:
+        add_delay(x, b, h.b[0], o, aid, T)
+
+
+def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm) -> None:
+    """Add D of fixes that are later than taken to be, s: its slope there, and what is left of it.
+
+    A velocity was another one then; a position was less far, by Simpson's rule.
+    """
+    if later == 0.0:
+        for r in range(o.rows):
+            T[r][0] += o.H[r][E_DELAY]
+        return
+    t = x.t - x.gnss_delay * 1e9
+    gained_until(x, t - 0.5e9 * later, b.trial.gain)
+    gained_until(x, t - later * 1e9, b.trial.b)
+    gained_until(x, t - later * 1e9 - SLOPE, b.trial.M[0])
+    gained_until(x, t - later * 1e9 + SLOPE, b.trial.M[1])
+    for r in range(o.rows):
+        axis = r if aid != AID_HEIGHT else 2
+        now = x.past.gained[axis] - x.vel_n[axis]
+        if aid == AID_VELOCITY:
+            slope = (b.trial.M[0][axis] - b.trial.M[1][axis]) / (2e-9 * SLOPE)
+            whole = b.trial.b[axis] - o.then.until[axis]
+        else:
+            slope = now - b.trial.b[axis]
+            whole = now - (o.then.until[axis] + 4.0 * b.trial.gain[axis] + b.trial.b[axis]) / 6.0
+            whole *= later
+        T[r][0] += slope
+        T[r][1] += whole - slope * later
 
 
 def add_shape(
@@ -254,10 +294,6 @@ def add_shape(
         if aid == AID_HEADING:
             for c in range(3):
                 T[0][c] += o.H[0][E_IRON + c]
-    elif kind == FAULT_DELAY:
-        if aid <= AID_VELOCITY:
-            for r in range(o.rows):
-                T[r][0] += o.H[r][E_DELAY]
     elif kind == FAULT_LEVER:
         for c in range(3):
             if aid == AID_HEIGHT:
