@@ -398,7 +398,10 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
             dt = (x.t - b.driven_t[axis]) * 1e-9
             before = (b.driven_t[axis] - b.drift_t[axis]) * 1e-9
             now = (x.t - b.drift_t[axis]) * 1e-9
+            # its rate is not known to the end, nor when it ends: in the long run once in that time
             var = b.drift_var[axis] * (now * now - before * before)
+            ends = b.drift[axis] * b.drift[axis] / (3.0 * FADES)
+            var += ends * (now * now * now - before * before * before)
             b.driven_t[axis] = x.t
             b.held[axis] += b.drift[axis] * dt
             add_variance(x, E_GNSS + axis if axis < 3 else E_BARO, var)
