@@ -79,7 +79,7 @@ SHARE = 0.1
 MOST_NAMES = 3
 """Sources that are named at once: more say no more than that nobody knows."""
 OPENED = (
-    *((Source.POSITION, Source.DRAG), (Source.VELOCITY, Source.DRAG), (Source.BARO,)),
+    *((Source.POSITION,), (Source.VELOCITY,), (Source.BARO,)),
     *((Source.HEIGHT, Source.FALL), (Source.CLIMB, Source.FALL)),
 )
 """Sources whose readings correct nothing while one of them is suspected, with ``weigh_faults:

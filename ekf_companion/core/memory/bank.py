@@ -13,7 +13,7 @@ INSTANCES = 512
 """Most that are kept; the least probable goes where there is no room."""
 FOUND = 32
 """Faults that are kept to be told."""
-DELAYS = 15
+DELAYS = 26
 """Delays of the fixes that are compared."""
 MOVING = 15
 """Error states that a transition mixes: attitude, velocity, position, both biases."""
@@ -44,7 +44,7 @@ class Instance:
     rows: Count
     """Components of b."""
     tau: Real
-    """Time constant of what settles, s."""
+    """Time constant of what settles; the delay about which another is linear, s."""
     reference: Real
     """Height at the onset, m, down."""
     b: Annotated[Vector, 3]
@@ -101,6 +101,8 @@ class Bank:
     """Of the last fix by which instances began, ns."""
     begun_t: Annotated[Vector, AIDS]
     """When the last ones of each spacing began, ns."""
+    proven_t: Real
+    """When the start was proven by fixes, ns: what is off before may be our own."""
     has_begun: Real
     """Instances have begun before: what a receiver does at its first fix is over."""
     weighed_t: Annotated[Vector, AIDS]
@@ -128,6 +130,8 @@ class Bank:
     """Square of what was declared of a source that had just failed: position n e d, m^2."""
     delay_cost: Annotated[Vector, DELAYS]
     """What the last velocities of fixes cost, by how late they are taken to be."""
+    delay_rows: Real
+    """Of how many rows that is."""
     let_go: Annotated[Vector, 2]
     """Square of what a reset took over of a held offset of position and height, m^2; it fades."""
     natural: Annotated[Vector, 2]

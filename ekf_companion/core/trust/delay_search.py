@@ -15,23 +15,26 @@ from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import exp, log
 
-STEP = cython.declare(cython.double, 0.15)
-"""Between two delays that are compared, s: one sigma of what is known of a usual one."""
-EARLIER = cython.declare(cython.int, 4)
+STEP = cython.declare(cython.double, 0.1)
+"""Between two delays that are compared, s: in half of it a velocity changes by little more than its
+noise."""
+EARLIER = cython.declare(cython.int, 10)
 """Steps by which a fix may be less late than now: a link that no longer buffers."""
-MEMORY = cython.declare(cython.double, 3.0)
-"""Time constant over which a fit counts, s: as long as a turn takes that shows it."""
+MEMORY = cython.declare(cython.double, 1.0)
+"""Time constant over which a fit counts, s: five usual fixes; what was before another delay."""
 
 
 def forget(b: Bank) -> None:
     """Begin anew: no delay is better than another."""
     for g in range(DELAYS):
         b.delay_cost[g] = 0.0
+    b.delay_rows = 0.0
 
 
 def compare(x: State, b: Bank, o: Observation) -> None:
     """Add what a velocity costs if it is so much later, or less late, than taken to be."""
     kept = exp(-x.fix_dt / MEMORY)
+    b.delay_rows = kept * b.delay_rows + o.rows
     for g in range(DELAYS):
         late = x.gnss_delay + (g - EARLIER) * STEP
         gained_until(x, x.t - late * 1e9, b.work)
@@ -53,6 +56,9 @@ def best(b: Bank) -> float:
     for g in range(DELAYS):
         if b.delay_cost[g] < b.delay_cost[found]:
             found = g
-    if b.delay_cost[EARLIER] - b.delay_cost[found] < THREE_SIGMA2:
+    # where none fits, as of a vehicle that shakes, a better one is hardly the right one
+    noise = b.delay_cost[found] / b.delay_rows if b.delay_rows > 0.0 else 1.0
+    noise = noise if noise > 1.0 else 1.0
+    if b.delay_cost[EARLIER] - b.delay_cost[found] < THREE_SIGMA2 * noise:
         return 0.0
     return (found - EARLIER) * STEP

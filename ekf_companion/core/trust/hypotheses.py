@@ -29,7 +29,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_MAGNETIC,
     E_POS,
     E_VEL,
-    FAULT_DRAG_RAMP,
     FAULT_GYRO_NOISE,
     MODE_NAVIGATE,
     SHOWS_ALL,
@@ -297,12 +296,12 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
         h = address(b.instance[i])
         source = k.fault[h.kind].source
         if aid == AID_VELOCITY:
-            if source == SOURCE_VELOCITY or h.kind == FAULT_DRAG_RAMP:
+            if source == SOURCE_VELOCITY:
                 first += h.p
             elif source == SOURCE_CLIMB or source == SOURCE_FALL:
                 down += h.p
         elif aid == AID_POSITION:
-            if source == SOURCE_POSITION or h.kind == FAULT_DRAG_RAMP:
+            if source == SOURCE_POSITION:
                 first += h.p
         elif aid == AID_HEIGHT:
             if source == SOURCE_HEIGHT or source == SOURCE_FALL:

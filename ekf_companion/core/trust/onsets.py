@@ -43,7 +43,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import score, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, score, shape
 from cython.cimports.libc.math import exp, log
 
 KEPT = cython.declare(cython.int, 3)
@@ -85,6 +85,8 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
                 begin_heading(x, k, b, o, kind)
         begin_kinds(x, k, b, aid, first, last)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
+        if b.fix_t <= NEVER:
+            b.proven_t = x.proven_t
         b.fix_t = x.fix_t
         if not x.t - b.window_t < OFTEN:
             score.end_window(x, k, b)
@@ -93,8 +95,11 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         if b.has_begun == 0.0:
             b.has_begun = 1.0
             begin_settling(x, k, b)
-        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
+        if x.t >= b.proven_t:
+            begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
+        if delay_search.best(b) != 0.0 and x.t - b.begun_t[AID_VELOCITY] < OFTEN:
+            begin_instance(x, k, b, FAULT_DELAY, x.fix_dt)
         begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_RECOVERY_HEIGHT)
 
 

@@ -225,6 +225,7 @@ def doubt_it(k: Parameters, h: Instance, o: Observation, p: float) -> None:
         turn(h.U[c], o.dx)
     if h.kind == FAULT_DELAY:  # of which the last component is one, whatever it is
         h.b[1] = 1.0
+        h.tau = -h.tau
         for e in range(N):
             h.U[1][e] = -h.U[1][e]
         delay_search.forget(address(o.bank[0]))

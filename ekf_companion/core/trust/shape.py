@@ -121,7 +121,8 @@ def begin(x: State, b: Bank, h: Instance) -> None:
         h.U[0][E_POS + 2] = -1.0
         h.U[0][E_BARO] = -1.0
     elif kind == FAULT_DELAY:  # about what fits best; what that adds is known, and no part of b
-        h.b[0] = delay_search.best(b)
+        h.tau = delay_search.best(b)
+        h.b[0] = h.tau
         h.rows = 2
         h.b[1] = 1.0
         h.M[1][1] = 0.0
@@ -170,7 +171,7 @@ def add_direct(x: State, b: Bank, h: Instance, o: Observation, aid: int, T: Dcm)
     if h.kind != FAULT_DELAY:
         add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
     elif aid <= AID_VELOCITY:
-        add_delay(x, b, h.b[0], o, aid, T)
+        add_delay(x, b, h.tau, o, aid, T)
 
 
 def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm) -> None:
