@@ -49,6 +49,9 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
         "GNSS height and vertical velocity right again, by {:.0f} % of its error",
         100.0,
     ),
+    Fault.HALT: ("GNSS position slides no more, by {:.0f} % of its rate", 100.0),
+    Fault.HALT_HEIGHT: ("GNSS height slides no more, by {:.0f} % of its rate", 100.0),
+    Fault.HALT_BARO: ("barometer slides no more, by {:.0f} % of its rate", 100.0),
 }
 """What each is called, and its size in the unit of the words."""
 
@@ -84,7 +87,7 @@ OPENED = (
 )
 """Sources whose readings correct nothing while one of them is suspected, with ``weigh_faults:
 act``; so decides ``hypotheses.open_rows``, but while the inertial noise leaps."""
-ENDS = (Fault.RECOVERY, Fault.RECOVERY_HEIGHT)
+ENDS = (Fault.RECOVERY, Fault.RECOVERY_HEIGHT, Fault.HALT, Fault.HALT_HEIGHT, Fault.HALT_BARO)
 """Of what was found these are no faults."""
 
 

@@ -187,12 +187,16 @@ class Fault(IntEnum):
     """Position and horizontal velocity are right again: what was declared of them has ended."""
     RECOVERY_HEIGHT = 28
     """Height and vertical velocity are."""
-    SETTLE = 29
+    HALT = 29
+    """A declared slide of the position has ended where it was."""
+    HALT_HEIGHT = 30
+    HALT_BARO = 31
+    SETTLE = 32
     """The position settles after the first fix, from which ours began."""
-    SETTLE_HEIGHT = 30
-    ACCEL_NOISE = 31
+    SETTLE_HEIGHT = 33
+    ACCEL_NOISE = 34
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 32
+    GYRO_NOISE = 35
 
 
 class Source(IntEnum):

@@ -70,9 +70,12 @@ FAULTS = {
     # than it states; its rate is that by the second of its only onset
     Fault.SETTLE: Prior(Source.SETTLING, 2, 10.0, 100.0, 120.0, RAMP, LEVEL),
     Fault.SETTLE_HEIGHT: Prior(Source.SETTLING_HEIGHT, 1, 15.0, 150.0, 120.0, RAMP, VERTICAL),
-    # of what was declared, a share: its end, all at once, once a minute
+    # of what was declared, a share: its end, once a minute: all at once, or that a slide stops
     Fault.RECOVERY: Prior(Source.POSITION, 1, 0.02, 0.02, 60.0, RAMP, LEVEL),
     Fault.RECOVERY_HEIGHT: Prior(Source.HEIGHT, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
+    Fault.HALT: Prior(Source.POSITION, 1, 0.02, 0.02, 60.0, RAMP, LEVEL),
+    Fault.HALT_HEIGHT: Prior(Source.HEIGHT, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
+    Fault.HALT_BARO: Prior(Source.BARO, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
     # no fault: its share of the noise follows from what a second of it does
     Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
     Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),

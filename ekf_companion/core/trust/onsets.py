@@ -31,10 +31,10 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
+    FAULT_HALT_BARO,
     FAULT_HEADING_STEP,
     FAULT_KICK,
     FAULT_POSITION_STEP,
-    FAULT_RECOVERY_HEIGHT,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     SOURCE_NOISE,
@@ -100,7 +100,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
         if delay_search.best(b) != 0.0 and x.t - b.begun_t[AID_VELOCITY] < OFTEN:
             begin_instance(x, k, b, FAULT_DELAY, x.fix_dt)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_RECOVERY_HEIGHT)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_HALT_BARO)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:

@@ -41,8 +41,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
-    FAULT_RECOVERY,
-    FAULT_RECOVERY_HEIGHT,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     FAULT_VELOCITY_LAG,
@@ -258,11 +256,9 @@ def carry(x: State, b: Bank, h: Instance) -> None:
     elif kind == FAULT_BARO_RAMP:
         hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
-    elif kind == FAULT_RECOVERY:
-        for c in range(2):
-            hold(b, c, -b.held[c])
-    elif kind == FAULT_RECOVERY_HEIGHT:
-        hold(b, 2, -b.held[2])
+    elif shape.is_end(kind):
+        for axis in range(shape.first_axis(kind), shape.last_axis(kind) + 1):
+            hold(b, axis, -b.drift[axis] * since if shape.is_halt(kind) else -b.held[axis])
     elif is_taken(kind):
         b.taken_t[kind] = h.t0
         b.taken_tau[kind] = h.tau
@@ -399,10 +395,7 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
             dt = (x.t - b.driven_t[axis]) * 1e-9
             before = (b.driven_t[axis] - b.drift_t[axis]) * 1e-9
             now = (x.t - b.drift_t[axis]) * 1e-9
-            # its rate is not known to the end, nor when it ends: in the long run once in that time
             var = b.drift_var[axis] * (now * now - before * before)
-            ends = b.drift[axis] * b.drift[axis] / (3.0 * FADES)
-            var += ends * (now * now * now - before * before * before)
             b.driven_t[axis] = x.t
             b.held[axis] += b.drift[axis] * dt
             add_variance(x, E_GNSS + axis if axis < 3 else E_BARO, var)

@@ -42,6 +42,9 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_GYRO_STEP,
+    FAULT_HALT,
+    FAULT_HALT_BARO,
+    FAULT_HALT_HEIGHT,
     FAULT_HEADING_STEP,
     FAULT_HEIGHT_RAMP,
     FAULT_HEIGHT_STEP,
@@ -75,19 +78,47 @@ FAST = cython.declare(cython.double, 225.0)
 
 def is_end(kind: int) -> bool:
     """Return whether a hypothesis is that declared faults have ended."""
-    return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT
+    return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT or is_halt(kind)
+
+
+def is_halt(kind: int) -> bool:
+    """Return whether a hypothesis is that a declared slide has stopped where it was."""
+    return kind == FAULT_HALT or kind == FAULT_HALT_HEIGHT or kind == FAULT_HALT_BARO
+
+
+def first_axis(kind: int) -> int:
+    """Return the first of the axes that an end is about: position n e d, barometer."""
+    if kind == FAULT_RECOVERY or kind == FAULT_HALT:
+        return 0
+    return 3 if kind == FAULT_HALT_BARO else 2
+
+
+def last_axis(kind: int) -> int:
+    """Return the last of them."""
+    return 1 if first_axis(kind) == 0 else first_axis(kind)
 
 
 def can_begin(x: State, b: Bank, kind: int) -> bool:
     """Return whether a fault can begin: what ends is larger than all that is not known of it."""
+    if is_halt(kind):
+        return slide_square(b, kind) > 0.0
     return not is_end(kind) or held_square(b, kind) > THREE_SIGMA2 * end_variance(x, b, kind)
 
 
 def held_square(b: Bank, kind: int) -> float:
     """Return the square of what is held of a receiver's position, or height, m^2."""
-    if kind == FAULT_RECOVERY:
-        return b.held[0] * b.held[0] + b.held[1] * b.held[1]
-    return b.held[2] * b.held[2]
+    square = 0.0
+    for axis in range(first_axis(kind), last_axis(kind) + 1):
+        square += b.held[axis] * b.held[axis]
+    return square
+
+
+def slide_square(b: Bank, kind: int) -> float:
+    """Return the square of the rate at which a declared slide goes on, (m/s)^2."""
+    square = 0.0
+    for axis in range(first_axis(kind), last_axis(kind) + 1):
+        square += b.drift[axis] * b.drift[axis]
+    return square
 
 
 def end_variance(x: State, b: Bank, kind: int) -> float:
@@ -95,6 +126,14 @@ def end_variance(x: State, b: Bank, kind: int) -> float:
     if kind == FAULT_RECOVERY:
         return x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] + b.natural[0]
     return x.P[E_POS + 2][E_POS + 2] + b.natural[1]
+
+
+def aid_of(kind: int) -> int:
+    """Return the aid in whose readings an end shows."""
+    first = first_axis(kind)
+    if first == 0:
+        return AID_POSITION
+    return AID_HEIGHT if first == 2 else AID_BARO
 
 
 def begin(x: State, b: Bank, h: Instance) -> None:
@@ -126,12 +165,15 @@ def begin(x: State, b: Bank, h: Instance) -> None:
         h.rows = 2
         h.b[1] = 1.0
         h.M[1][1] = 0.0
-    elif kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT:
+    elif is_end(kind):
         h.b[0] = 1.0
-        h.M[0][0] = end_variance(x, b, kind) / held_square(b, kind)
-        for c in range(3):
-            if (c == 2) == (kind == FAULT_RECOVERY_HEIGHT):
-                h.U[0][E_GNSS_VEL + c] = -x.gnss_vel_offset[c]
+        if is_halt(kind):
+            h.M[0][0] = b.drift_var[first_axis(kind)] / slide_square(b, kind)
+        else:
+            h.M[0][0] = end_variance(x, b, kind) / held_square(b, kind)
+        for axis in range(first_axis(kind), last_axis(kind) + 1):
+            if axis < 3:
+                h.U[0][E_GNSS_VEL + axis] = -x.gnss_vel_offset[axis]
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
@@ -237,13 +279,11 @@ def add_shape(
     elif kind == FAULT_SETTLE_HEIGHT:
         if aid == AID_HEIGHT:
             T[0][0] += exp(-since / tau)
-    elif kind == FAULT_RECOVERY:
-        if aid == AID_POSITION:
-            for r in range(2):
-                T[r][0] -= b.held[r]
-    elif kind == FAULT_RECOVERY_HEIGHT:
-        if aid == AID_HEIGHT:
-            T[0][0] -= b.held[2]
+    elif is_end(kind):
+        if aid == aid_of(kind):
+            first = first_axis(kind)
+            for r in range(o.rows):
+                T[r][0] -= b.drift[first + r] * since if is_halt(kind) else b.held[first + r]
     elif kind == FAULT_VELOCITY_TURN:
         if aid == AID_VELOCITY:
             T[0][0] -= x.vel_n[1]
