@@ -11,6 +11,7 @@ from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.engine.faults import WORDS
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.state import SIGMA
 from tests.core.flights import between, flight
 
 METRE = 1.0 / 6.371e6
@@ -139,7 +140,7 @@ def test_what_is_named_is_repaired(kind, column, step, slope):
     events, _ = flight("figure-eight", END)
     right = pipeline("act").run(events).values[-1, 3:9]
     wrong = pipeline("act").run(faulty(events, kind, column, step, slope))
-    std = wrong.values[-1, 23:29]
+    std = wrong.columns(SIGMA[:6])[-1]
     off = wrong.values[-1, 3:9] - right
     assert np.all(np.abs(off[:3]) < np.maximum(3.0 * std[:3], 1.0))
     assert np.all(np.abs(off[3:]) < 0.3)

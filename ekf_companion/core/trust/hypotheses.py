@@ -18,7 +18,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER
+from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -316,6 +316,15 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
         if (down if r == 2 else first) > EVEN:
             o.R[r][r] += ANY
     return True
+
+
+def explains(b: Bank) -> bool:
+    """Return whether a fault is more likely than not, and explains its own last readings."""
+    for i in range(b.n):
+        h = address(b.instance[i])
+        if h.p > EVEN and h.recent < THREE_SIGMA2:
+            return True
+    return False
 
 
 def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:

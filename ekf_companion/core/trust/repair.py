@@ -50,8 +50,10 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SHOWS_ALL,
     SOURCE_DRAG,
     SOURCE_NOISE,
+    SOURCE_POSITION,
     SOURCE_SETTLING,
     SOURCE_SETTLING_HEIGHT,
+    SOURCE_VELOCITY,
     SOURCES,
     WEIGH_ACT,
     N,
@@ -98,7 +100,7 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                     best = i
         if source == SOURCE_SETTLING or source == SOURCE_SETTLING_HEIGHT:
             p = settled_share(x, b, best)
-        if p < SURE or source == SOURCE_DRAG or source == SOURCE_NOISE:
+        if p < SURE or source == SOURCE_NOISE or is_beyond_doubting(x, k, b, source, best):
             b.since[source] = NEVER
         elif b.since[source] <= NEVER:
             b.since[source] = x.t
@@ -112,6 +114,22 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                 b.since[source] = NEVER
                 repair(x, k, o, best, p)
                 return
+
+
+def is_beyond_doubting(x: State, k: Parameters, b: Bank, source: int, i: int) -> bool:
+    """Return whether no other source could ever contradict that a fault was declared.
+
+    So it is of a position that is led away with its velocity, at once or one after the other: the
+    estimate would go its way beside both, and nothing would show it.
+    """
+    if source == SOURCE_POSITION:
+        square = x.gnss_vel_offset[0] * x.gnss_vel_offset[0]
+        square += x.gnss_vel_offset[1] * x.gnss_vel_offset[1]
+        usual = THREE_SIGMA2 * k.gnss_vel_slow_std * k.gnss_vel_slow_std
+        return b.instance[i].kind == FAULT_POSITION_RAMP and square > usual
+    if source == SOURCE_VELOCITY:
+        return b.drift[0] != 0.0 or b.drift[1] != 0.0
+    return source == SOURCE_DRAG
 
 
 def settled_share(x: State, b: Bank, i: int) -> float:
