@@ -61,6 +61,7 @@ class Autopilot:
         personality: Personality | Kind = Kind.PX4,
         *,
         is_wing: bool = False,
+        is_rolling: bool = False,
         seed: int = 1,
         navigator: Navigator | None = None,
     ) -> None:
@@ -83,7 +84,7 @@ class Autopilot:
         """Time of the last iteration of the loop, when it sends, on the world's clock."""
         self._config = config
         self._seed = seed
-        self._type = 1 if is_wing else 2
+        self._type = 1 if is_wing else 10 if is_rolling else 2
         self._out: list[bytes] = []
         self._received: list[Received] = []
         self._random = random.Random(seed)

@@ -25,14 +25,31 @@ def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
     std_h, std_v = np.hypot([config.noise_h, config.noise_v], [config.slow_h, config.slow_v])
     place, velocity = (gnss.lat, gnss.lon, gnss.alt), (*gnss.vel_n[:, :2].T, vel_down)
     stds = (std_h, std_v, config.noise_vel)
+    found = [_readings(flight, Kind.AIRSPEED), _readings(flight, Kind.WHEEL)]
     headings = [table(Kind.HEADING, gnss.t, gnss.yaw, config.noise_yaw)] if config.yaw else []
     return merge(
         table(Kind.GNSS, gnss.t, *place, *velocity, *stds, np.nan),
         *headings,
+        *(one for one in found if one is not None),
         table(Kind.MAG, flight.mag.t, *flight.mag.mag_b.T),
         table(Kind.BARO, flight.baro.t, flight.baro.alt),
         table(Kind.IMU, imu.t, *imu.gyro_b.T, *imu.accel_b.T),
     )
+
+
+def _readings(flight: Flight, kind: Kind) -> Events | None:
+    """Return ten readings a second of airspeed or wheels; None: there is no such sensor."""
+    every = max(1, round(1e8 / flight.period_ns))
+    t = flight.imu.t[::every]
+    columns: tuple[npt.ArrayLike, ...] = ()
+    if kind == Kind.AIRSPEED and len(flight.airspeed):
+        columns = (flight.airspeed[::every], np.nan, 1.0)
+    elif kind == Kind.WHEEL and len(flight.wheel):
+        speed = np.diff(flight.wheel[::every]) / np.diff(t)
+        t, columns = 0.5 * (t[1:] + t[:-1]), (speed, np.nan)
+    if not columns:
+        return None
+    return Events.from_columns(_stamps(flight, t), kind, *columns)
 
 
 def truth(flight: Flight) -> Trajectory:

@@ -102,6 +102,10 @@ class Cycle(NamedTuple):
     """Of the other receiver; None: nothing new."""
     range_m: float | None = None
     """To the ground along the body's down axis; None: there is no range finder."""
+    airspeed: float | None = None
+    """Indicated, m/s; None: there is no pitot tube."""
+    wheel_m: float | None = None
+    """Way of the wheels so far, m; None: there are no encoders."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -124,6 +128,10 @@ class Flight:
     baro: sensors.BaroData
     range_white: Array
     """Unit white noise of the range finder, shape (n,); (0,) without one."""
+    airspeed: Array
+    """Indicated, m/s, shape (n,); (0,) without a pitot tube."""
+    wheel: Array
+    """Way of the wheels so far, m, likewise."""
     estimate_error: Array
     """Of position, velocity, roll, pitch and yaw, shape (n, 9)."""
 
@@ -146,7 +154,8 @@ class Flight:
         duration = scenario.duration if duration is None else duration
         home = config.home
         frame = LocalFrame(float(np.radians(home.lat)), float(np.radians(home.lon)), home.alt)
-        trajectory = scenario.build(frame, skip + duration)
+        extra = (config.airspeed.wind,) if scenario.is_wing else ()
+        trajectory = scenario.build(frame, skip + duration, *extra)
         rng = sensors.generators(seed)
 
         # Whole microseconds, as the messages' stamps are
@@ -166,6 +175,14 @@ class Flight:
         spare_gnss = None
         if config.spare.receivers:
             spare_gnss = sensors.gnss(trajectory, config.gnss, rng["gnss 2"], fix_t)
+        airspeed = wheel = np.zeros(0)
+        if config.airspeed.fitted:
+            late = trajectory.at(t - config.airspeed.delay)
+            noise = rng["airspeed"].standard_normal((count, 2))
+            airspeed = sensors.airspeeds(config.airspeed, noise, late, period)
+        if config.wheel.fitted:
+            noise = rng["wheel"].standard_normal(count)
+            wheel = sensors.wheel_distances(config.wheel, noise, trajectory.at(t), period)
         e = config.estimate
         sigmas = np.repeat([e.position, e.velocity, e.tilt, e.yaw], [3, 3, 2, 1])
         return cls(
@@ -182,6 +199,8 @@ class Flight:
             spare_gnss=spare_gnss,
             baro=sensors.baro(trajectory, config.baro, rng["baro"], baro_t),
             range_white=rng["range"].standard_normal(count * config.range_finder.fitted),
+            airspeed=airspeed,
+            wheel=wheel,
             estimate_error=sensors.slow_errors(rng["estimate"], count, sigmas, period, e.time),
         )
 
@@ -234,10 +253,13 @@ class Flight:
                 is_armed,
                 is_landed,
                 self._ranges(truth, part),
+                _or_none(self.airspeed, part, len(truth.t)),
+                _or_none(self.wheel, part, len(truth.t)),
                 strict=True,
             )
             for number, row in enumerate(rows, start):
-                t_s, gyro, accel, gyro_bias, accel_bias, true, estimate, armed, landed, far = row
+                t_s, gyro, accel, gyro_bias, accel_bias, true, estimate, armed, landed = row[:9]
+                far, airspeed, wheel_m = row[9:]
                 now_ns = self.to_ns(t_s)
                 yield Cycle(
                     number=number,
@@ -257,6 +279,8 @@ class Flight:
                     spare_mag_b=spare_mag.get(number, ()),
                     spare_fix=spare_fixes.get(number),
                     range_m=far,
+                    airspeed=airspeed,
+                    wheel_m=wheel_m,
                 )
 
     def _fixes(self, data: sensors.GnssData) -> Iterator[Fix]:
@@ -292,6 +316,14 @@ class Flight:
             q_nb=so3.from_euler(euler[:, 0], euler[:, 1], euler[:, 2]),
             euler=euler,
         )
+
+
+def _or_none(readings: Array, part: slice, count: int) -> list[float] | list[None]:
+    """Return the readings of a part of the flight, of a sensor that may not be there."""
+    if not len(readings):
+        return [None] * count
+    found: list[float] = readings[part].tolist()
+    return found
 
 
 def _every(t: Array, period: float, rate: float) -> Array:

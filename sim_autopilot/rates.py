@@ -176,4 +176,6 @@ def _spares(config: SimConfig) -> tuple[str, ...]:
         *compasses,
         *("GPS2_RAW",) * spare.receivers,
         *("DISTANCE_SENSOR",) * config.range_finder.fitted,
+        *("AIRSPEED",) * config.airspeed.fitted,
+        *("WHEEL_DISTANCE",) * config.wheel.fitted,
     )

@@ -33,8 +33,14 @@ class Rig:
         The personality is the autopilot to imitate; of a kind the ideal one.
         """
         zero_ns = flight.first_ns - flight.period_ns
-        is_wing = flight.scenario.is_wing
-        self.autopilot = Autopilot(flight.config, personality, is_wing=is_wing, seed=flight.seed)
+        flown = flight.scenario
+        self.autopilot = Autopilot(
+            flight.config,
+            personality,
+            is_wing=flown.is_wing,
+            is_rolling=flown.is_rolling,
+            seed=flight.seed,
+        )
         self.clock = Clock(faults, zero_ns)
         self._sensors = SensorFaults(faults, zero_ns)
         self._out = Wire(faults, flight.seed, zero_ns, "out", latency)

@@ -25,6 +25,11 @@ MARGIN = 1.0
 """The path continues for so long after the end, s: control points of the attitude look ahead."""
 
 
+Wind = tuple[float, float]
+"""Where the air moves to, north and east, m/s."""
+CALM: Wind = (0.0, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Scenario:
     """A motion by its name."""
@@ -34,11 +39,14 @@ class Scenario:
     duration: float
     """Of a flight by default, s."""
     is_airborne: bool
-    """It arms and takes off."""
+    """It arms and takes off, or drives off."""
     is_wing: bool
     """A fixed wing; else a multicopter, or nothing that flies."""
-    build: Callable[[LocalFrame, float], Trajectory]
-    """From the frame, whose origin is the start, and the duration, s."""
+    build: Callable[..., Trajectory]
+    """From the frame, whose origin is the start, and the duration, s; of a fixed wing the wind,
+    north and east, m/s."""
+    is_rolling: bool = False
+    """A ground vehicle."""
 
 
 def _static(frame: LocalFrame, duration: float) -> Trajectory:
@@ -85,7 +93,7 @@ def _figure_eight(frame: LocalFrame, duration: float) -> Trajectory:
     return _quad(frame, duration, path, yaw)
 
 
-def _loiter(frame: LocalFrame, duration: float) -> Trajectory:
+def _loiter(frame: LocalFrame, duration: float, wind: Wind = CALM) -> Trajectory:
     """Circle at 16 m/s, radius 80 m, after a take-off to the north; climb to 100 m and undulate."""
     speed, radius, run = 16.0, 80.0, 200.0
     step = 2.0
@@ -100,7 +108,7 @@ def _loiter(frame: LocalFrame, duration: float) -> Trajectory:
             axis=-1,
         )
 
-    return _wing(frame, duration, path, step)
+    return _wing(frame, duration, path, step, wind)
 
 
 _ROUTE = np.array(
@@ -135,7 +143,7 @@ _LAP_START = 2
 """The route begins again at this waypoint, which is also its last."""
 
 
-def _square_spiral(frame: LocalFrame, duration: float) -> Trajectory:
+def _square_spiral(frame: LocalFrame, duration: float, wind: Wind = CALM) -> Trajectory:
     """Fly two rounds of a shrinking square through waypoints, like the seed article's fixed wing.
 
     A spline of control points every 80 m rounds the corners; the speed is set along its length.
@@ -159,7 +167,7 @@ def _square_spiral(frame: LocalFrame, duration: float) -> Trajectory:
         t = np.where(t < end, t, lap_start + np.mod(t - lap_start, end - lap_start))
         return np.asarray(curve(np.interp(t, when, s)))[:, :3] * [1.0, 1.0, -1.0]
 
-    return _wing(frame, duration, path, step)
+    return _wing(frame, duration, path, step, wind)
 
 
 def _walk(frame: LocalFrame, duration: float) -> Trajectory:
@@ -193,6 +201,29 @@ def _walk(frame: LocalFrame, duration: float) -> Trajectory:
     )
 
 
+def _drive(frame: LocalFrame, duration: float) -> Trajectory:
+    """Roll along a road that winds, at 3 to 9 m/s, and stop every 40 s."""
+    fine = np.arange(0.0, duration + 20.0, 0.02)
+    begin = REST + 1.0  # the path is smoothed over some of its points
+    stop = _smoothstep(np.abs((fine - begin) % 40.0 - 20.0) / 6.0)
+    speed = _smoothstep((fine - begin) / 6.0) * stop * (6.0 + 3.0 * np.sin(0.11 * fine))
+    way = np.cumsum(speed) * 0.02
+    heading = 0.6 + 1.1 * np.sin(way / 35.0) + way / 70.0
+    north, east = (np.cumsum(speed * part) * 0.02 for part in (np.cos(heading), np.sin(heading)))
+    height = -1.5 * (1.0 - np.cos(way / 60.0))
+
+    def path(t: Array) -> Array:
+        return np.stack([np.interp(t, fine, one) for one in (north, east, height)], axis=-1)
+
+    def attitude(t: Array) -> Array:
+        slope = np.arctan(np.interp(t, fine, 1.5 / 60.0 * np.sin(way / 60.0)))
+        course = np.interp(t, fine, heading)
+        return np.asarray(SLOPE + np.stack([0.0 * t, slope, course], axis=-1))
+
+    position = spline(path, duration + MARGIN, 0.1)
+    return Trajectory(frame, duration, position, spline(attitude, duration, ATTITUDE_STEP))
+
+
 def _quad(
     frame: LocalFrame,
     duration: float,
@@ -216,15 +247,22 @@ def _quad(
 
 
 def _wing(
-    frame: LocalFrame, duration: float, path: Callable[[Array], Array], step: float
+    frame: LocalFrame,
+    duration: float,
+    path: Callable[[Array], Array],
+    step: float,
+    wind: Wind = CALM,
 ) -> Trajectory:
-    """Point 3 degrees above the path, and bank as in a coordinated turn; no wind."""
+    """Point 3 degrees above the path through the air, and bank as in a coordinated turn."""
     position = spline(path, duration + MARGIN, step)
 
     def attitude(t: Array) -> Array:
         t = np.maximum(t, 0.0)
         velocity, accel = np.asarray(position(t, 1)), np.asarray(position(t, 2))
         speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        if wind != CALM:  # on the wheels it points where it rolls to
+            velocity = velocity - _smoothstep(speed / 12.0)[:, None] * np.array([*wind, 0.0])
+            speed = np.hypot(velocity[:, 0], velocity[:, 1])
         # At rest the course is that of the first motion
         is_moving = speed > 0.5
         if not is_moving.any():
@@ -276,6 +314,15 @@ SCENARIOS = {
             True,
             True,
             _square_spiral,
+        ),
+        Scenario(
+            "drive",
+            "ground vehicle: a winding road at 3 to 9 m/s, with stops",
+            120.0,
+            True,
+            False,
+            _drive,
+            is_rolling=True,
         ),
         Scenario(
             "walk", "on a foot: 0.5 s still, 0.7 s swinging, in a circle", 90.0, False, False, _walk

@@ -17,13 +17,15 @@ from ekf_companion.errors import part_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from sim_autopilot.config import (
+    AirspeedConfig,
     BaroConfig,
     CompassConfig,
     GnssConfig,
     ImuConfig,
     RangeFinderConfig,
+    WheelConfig,
 )
-from sim_autopilot.truth import Trajectory
+from sim_autopilot.truth import Trajectory, Truth
 
 Value = TypeVar("Value", float, npt.NDArray[np.float64])
 
@@ -106,6 +108,8 @@ def generators(seed: int) -> dict[str, np.random.Generator]:
         "compass 3",
         "gnss 2",
         "range",
+        "airspeed",
+        "wheel",
     )
     sequences = np.random.SeedSequence(seed).spawn(len(names))
     return dict(zip(names, map(np.random.default_rng, sequences), strict=True))
@@ -212,6 +216,25 @@ def ranges(config: RangeFinderConfig, white: Array, height: Array, q_nb: Array) 
     upright = np.maximum(1.0 - 2.0 * (q_nb[:, 1] ** 2 + q_nb[:, 2] ** 2), 1e-3)
     found = (height + config.mounted) / upright + config.noise * white
     return np.asarray(np.clip(found, config.lowest, config.highest))
+
+
+def airspeeds(config: AirspeedConfig, white: Array, truth: Truth, period: float) -> Array:
+    """Return the indicated airspeeds of a motion, m/s: less than the true ones in thin air.
+
+    Of the white noise, shape (n, 2), one column becomes gusts.
+    """
+    through_n = truth.vel_n - np.array([*config.wind, 0.0])
+    density = (pressure(truth.alt) / 1013.25) ** (4.25588 / 5.25588)
+    gusts = config.gust * gauss_markov(white[:, 1:], period, config.gust_time)[:, 0]
+    indicated = (np.linalg.norm(through_n, axis=1) + gusts) * np.sqrt(density)
+    return np.asarray(config.scale * indicated + config.noise * white[:, 0])
+
+
+def wheel_distances(config: WheelConfig, white: Array, truth: Truth, period: float) -> Array:
+    """Return the distances of a motion along the body's forward axis from its begin on, m."""
+    ahead = so3.to_matrix(truth.q_nb)[:, :, 0]
+    speed = np.sum(ahead * truth.vel_n, axis=1)
+    return np.asarray(config.scale * np.cumsum(speed) * period + config.noise * white)
 
 
 def pressure(alt: Value) -> Value:

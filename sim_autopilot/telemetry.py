@@ -123,6 +123,21 @@ def _distance_sensor(config: SimConfig, cycle: Cycle) -> Fields:
     }
 
 
+def _airspeed(config: SimConfig, cycle: Cycle) -> Fields:
+    """Return AIRSPEED of the first sensor, which the autopilot uses."""
+    return {
+        "airspeed": cycle.airspeed or 0.0,
+        "raw_press": 0.5 * 1.225 * (cycle.airspeed or 0.0) ** 2,
+        "temperature": round(config.baro.temperature * 1e2),
+        "flags": 2,
+    }
+
+
+def _wheel_distance(config: SimConfig, cycle: Cycle) -> Fields:
+    way = cycle.wheel_m or 0.0
+    return {"time_usec": cycle.t_ns // 1000, "count": 2, "distance": [way] * 2 + [0.0] * 14}
+
+
 def _odometry(config: SimConfig, cycle: Cycle) -> Fields:
     """Return the autopilot's own estimate like PX4: only the diagonals are numbers."""
     estimate, e = cycle.estimate, config.estimate
@@ -249,5 +264,7 @@ BUILDERS: dict[str, Builder] = {
     "SCALED_IMU3": _scaled_imu,
     "SCALED_PRESSURE": _scaled_pressure,
     "DISTANCE_SENSOR": _distance_sensor,
+    "AIRSPEED": _airspeed,
+    "WHEEL_DISTANCE": _wheel_distance,
 }
 """Messages that depend on a reading alone."""

@@ -15,6 +15,7 @@ from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import GEODETIC, VELOCITY, Status, Table, Trajectory
+from ekf_companion.nav.wind import MeanWind
 from ekf_companion.review import difference
 from ekf_companion.review.track import SLOT_NS
 
@@ -41,6 +42,8 @@ class Motion:
     """Over ground, m/s."""
     height: float
     """From its lowest to its highest point, m."""
+    wind: str = ""
+    """Its mean, in words; empty: it is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,11 +156,14 @@ def motion(table: Table) -> Motion:
     )
     is_new = (np.diff(table.stamp_ns[rows]) > GAP_NS) | (np.diff(resets) != 0.0)
     speed = np.hypot(*table.columns(VELOCITY)[rows, :2].T)
+    wind = MeanWind()
+    wind.add(table)
     known = speed[np.isfinite(speed)]
     return Motion(
         way=_way(ned[:, :2], np.flatnonzero(is_new) + 1),
         top_speed=float(known.max()) if len(known) else np.nan,
         height=float(np.ptp(places[:, 2])),
+        wind=wind.words,
     )
 
 

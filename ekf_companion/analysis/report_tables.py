@@ -79,6 +79,8 @@ def _facts(review: FlightReview) -> str:
     ):
         if np.isfinite(value):
             facts.append((name, text))
+    if motion.wind:
+        facts.append(("wind in the mean", motion.wind))
     cells = (f"<div><b>{escape(text)}</b><span>{escape(name)}</span></div>" for name, text in facts)
     return f"<div class=numbers>{''.join(cells)}</div>"
 

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]
 _COLOURS = {"used": None, "refused": "red", "lost": "red", "none": "dim"}
 """Colours of the states of an aid."""
+_USUAL = ("position", "height", "velocity", "heading", "baro", "rest")
+"""Aids of which each is shown, whether there is one or not."""
 _OLD_S = 1.0
 """Age, s, from which on an estimate is shown with its age."""
 
@@ -83,13 +85,18 @@ def _aids(aids: Mapping[str, Data]) -> Table:
     table = _plain_table("Aid", "for", "from")
     table.columns[2].justify = "left"
     table.columns[2].no_wrap = False
+    absent = [name for name in aids if name not in _USUAL and aids[name]["state"] == "none"]
     for name, aid in aids.items():
+        if name in absent:
+            continue
         state = aid["state"]
         # A vehicle that moves has lost nothing
         word = "moving" if (name, state) == ("rest", "lost") else state
         since = f"{fixed(aid['since_s'], 0)} s" if state == "used" else word
         why = f": {aid['why']}" if state == "refused" else ""
         table.add_row(name, since, escape(f"{aid['source']}{why}"), style=_COLOURS.get(word))
+    if absent:
+        table.add_row("others", "none", ", ".join(absent), style=_COLOURS["none"])
     return table
 
 

@@ -42,7 +42,7 @@ from ekf_companion.nav.event_columns import (
     MergedEvents,
     sources_of,
 )
-from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
+from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind, VehicleType
 from ekf_companion.nav.mounting import trim_matrix
 
 DEFINITIONS = {"FMT", "FMTU", "UNIT", "MULT", "PARM"}
@@ -66,6 +66,12 @@ FIRST_TIME_US = "2014-06"
 """Date at which ArduPilot began to write stamps in microseconds (3.3)."""
 FIRST_DATES = ("2019", "2019", "2021", "2022", "2022", "2023", "2023", "2024")
 """Year in which the development of ArduPilot 4.0, 4.1, ... began."""
+_FIRMWARES = {
+    b"ArduPlane": VehicleType.FIXED_WING,
+    b"ArduCopter": VehicleType.ROTARY,
+    b"ArduRover": VehicleType.GROUND,
+}
+"""A rover may be a boat, to which wheels are no sensor."""
 _VERSION = re.compile(rb"(?:Ardu|Blimp|Antenna)\w* V4\.(\d{1,2})\b")
 """How the firmware names itself."""
 _EVENTS = {
@@ -321,7 +327,10 @@ class _Magnetometer:
 
 
 def _vehicle(tables: Columns, stored: Tables) -> Arrivals:
-    """Return armed and landed as events, one at each change, from ARM and EV rows."""
+    """Return armed and landed as events, one at each change, from ARM and EV rows.
+
+    With how the vehicle moves.
+    """
     changes: list[tuple[int, int, str, bool]] = []  # place, stamp, what, value
     if "ARM" in tables and (t_ns := boot_ns(tables["ARM"])) is not None:
         for row, stamp in zip(tables["ARM"], t_ns, strict=True):
@@ -341,7 +350,8 @@ def _vehicle(tables: Columns, stored: Tables) -> Arrivals:
     if not rows:
         return []
     places, stamps, armed, landed = zip(*rows, strict=True)
-    events = EventColumns(np.array(stamps), Kind.VEHICLE, armed, landed)
+    moves = float(_moves(tables))
+    events = EventColumns(np.array(stamps), Kind.VEHICLE, armed, landed, 0.0, 0.0, moves)
     return [(events, np.array(places))]
 
 
@@ -363,6 +373,18 @@ def _is_submarine(tables: Columns) -> bool:
     if "MSG" not in tables or "Message" not in names_of(tables["MSG"]):
         return False
     return any(bytes(words).startswith(b"ArduSub") for words in tables["MSG"]["Message"])
+
+
+def _moves(tables: Columns) -> VehicleType:
+    """Return how the vehicle moves, by what its firmware names itself."""
+    if "MSG" not in tables or "Message" not in names_of(tables["MSG"]):
+        return VehicleType.UNKNOWN
+    for words in tables["MSG"]["Message"]:
+        for name, moves in _FIRMWARES.items():
+            if bytes(words).startswith(name):
+                can_hover = moves is VehicleType.FIXED_WING and parameter(tables, "Q_ENABLE")
+                return VehicleType.OTHER if can_hover else moves
+    return VehicleType.UNKNOWN
 
 
 def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arrivals]:

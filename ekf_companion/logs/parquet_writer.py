@@ -19,6 +19,8 @@ from ekf_companion.nav.state import (
     QUATERNION,
     SIGMA,
     VELOCITY,
+    WIND,
+    WIND_SIGMA,
     Table,
 )
 from ekf_companion.version import __version__
@@ -39,6 +41,8 @@ _UNITS: dict[str, tuple[str, str]] = {
     **dict.fromkeys(SIGMA[:3], ("m", f"{_LOCAL}, one sigma")),
     **dict.fromkeys(SIGMA[3:6], ("m/s", f"{_LOCAL}, one sigma")),
     **dict.fromkeys(SIGMA[6:], ("rad", "one sigma")),
+    **dict.fromkeys(WIND, ("m/s", "where the air moves to")),
+    **dict.fromkeys(WIND_SIGMA, ("m/s", "one sigma")),
     "status": ("", "how far the estimate can be trusted"),
     "reset_count": ("1", "jumps on purpose so far"),
     "reasons": ("", "why the status is worse than ok, the foremost first, joined by +"),

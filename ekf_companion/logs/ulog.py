@@ -54,7 +54,7 @@ from ekf_companion.nav.event_columns import (
     MergedEvents,
     sources_of,
 )
-from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
+from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind, VehicleType
 from ekf_companion.nav.state import Trajectory
 
 STREAMED = ("sensor_combined", "vehicle_magnetometer", "sensor_mag", "vehicle_air_data")
@@ -69,6 +69,19 @@ ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
 SAME_TIME = 0.005
 """Largest difference, s, of two stamps of the same time: PX4's driver and the topic made of it."""
+_MOVES = np.array(
+    [
+        float(one)
+        for one in (
+            VehicleType.UNKNOWN,
+            VehicleType.ROTARY,
+            VehicleType.FIXED_WING,
+            VehicleType.GROUND,
+            VehicleType.OTHER,
+        )
+    ]
+)
+"""By vehicle_status.vehicle_type, which of one that can hover follows how it flies."""
 FIRST_ULOG, FIRST_DEGREES = "2016-05", "2023-01"
 """Dates at which PX4 began to write such logs, and to write fixes in degrees (PX4 1.14)."""
 EARTH_RADIUS = 6371000.0
@@ -122,10 +135,12 @@ def read(path: Path) -> Recording:
         sources += sources_of(_barometer(fused))
     else:
         sources += streamed("vehicle_air_data", _barometer)
+    seen: set[Kind] = set()
     for name, (kind, aid) in aids.ULOG.items():
-        if (topic := topics.get(name)) is not None:
+        if (topic := topics.get(name)) is not None and kind not in seen:
             valid, columns = aid.read(topic)
             sources += sources_of(_events(topic, kind, valid, *columns))
+            seen |= {kind} if valid.any() else set()
     sources += sources_of([*_vehicle(topics), *_gnss(topics, notes)])
     events = MergedEvents(sources)
     if not len(events) and not log.subscriptions:
@@ -311,19 +326,22 @@ def _barometer(topic: Topic) -> Arrivals:
 
 
 def _vehicle(topics: Topics) -> Arrivals:
-    """Return armed and landed at each change of either."""
+    """Return armed and landed, and how the vehicle moves, at each change of one of them."""
     if (topic := topics.get("vehicle_status")) is None:
         return []
     t_ns, armed = topic["t_ns"], topic["arming_state"] == ARMED
+    number = np.asarray(topic.get("vehicle_type", np.zeros(len(t_ns))), dtype=int)
+    moves = _MOVES[np.clip(number, 0, len(_MOVES) - 1)]
     landed = np.full(len(t_ns), np.nan)
     if (other := topics.get("vehicle_land_detected")) is not None:
         union = np.unique(np.concatenate([t_ns, other["t_ns"]]))
-        armed = armed[np.clip(np.searchsorted(t_ns, union, side="right") - 1, 0, None)]
+        now = np.clip(np.searchsorted(t_ns, union, side="right") - 1, 0, None)
+        armed, moves = armed[now], moves[now]
         before = np.searchsorted(other["t_ns"], union, side="right") - 1
         landed = np.where(before < 0, np.nan, other["landed"][np.clip(before, 0, None)] != 0)
         t_ns = union
-    news = series.changed(armed, landed)
-    events = EventColumns(t_ns, Kind.VEHICLE, armed, landed)
+    news = series.changed(armed, landed, moves)
+    events = EventColumns(t_ns, Kind.VEHICLE, armed, landed, 0.0, 0.0, moves)
     return [(events.take(news), t_ns[news])]
 
 

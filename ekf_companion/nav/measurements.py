@@ -48,7 +48,9 @@ class Kind(IntEnum):
     BARO = 4
     VEHICLE = 5
     RANGE = 6
-    IMU = 7
+    AIRSPEED = 7
+    WHEEL = 8
+    IMU = 9
 
 
 class HeadingSource(IntEnum):
@@ -60,6 +62,19 @@ class HeadingSource(IntEnum):
     """A compass that computes the heading itself (its field would be ``Kind.MAG``)."""
     AUTOPILOT = 2
     """The autopilot's own estimate: not independent of the sensors that are used here too."""
+
+
+class VehicleType(IntEnum):
+    """How a vehicle moves: what an aid may assume of it."""
+
+    UNKNOWN = 0
+    FIXED_WING = 1
+    """It flies on its wings now, where the air comes from ahead."""
+    ROTARY = 2
+    GROUND = 3
+    """It rolls on wheels or tracks, along its own axis."""
+    OTHER = 4
+    """A boat, a balloon, a vehicle between hover and flight."""
 
 
 class GnssFlag(IntFlag):
@@ -225,6 +240,38 @@ class RangeSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AirspeedSample:
+    """Speed through the air, of a pitot tube."""
+
+    t_ns: int
+    airspeed: float
+    """m/s; below a few m/s it is noise, and may be negative."""
+    std: float | None = None
+    """One sigma, m/s, > 0; None: not known."""
+    is_indicated: bool = False
+    """It is indicated or calibrated airspeed, which is less in thin air; else the true one."""
+
+    def row(self) -> Row:
+        """Return the row [airspeed, std, whether it is indicated]."""
+        return make_row(self.t_ns, Kind.AIRSPEED, self.airspeed, self.std, float(self.is_indicated))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelSample:
+    """Speed along the vehicle's axis by its wheels."""
+
+    t_ns: int
+    speed: float
+    """m/s; backwards it is negative."""
+    std: float | None = None
+    """One sigma, m/s, > 0; None: not known."""
+
+    def row(self) -> Row:
+        """Return the row [speed, std]."""
+        return make_row(self.t_ns, Kind.WHEEL, self.speed, self.std)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
     """Armed and landed as the autopilot reports them: no rest is assumed against them.
 
@@ -238,15 +285,15 @@ class VehicleState:
     """None: not known."""
     gnss_delay: float | None = None
     """Delay of a fix behind its stamp, s; None: not reported."""
+    type: VehicleType = VehicleType.UNKNOWN
 
     def row(self) -> Row:
-        """Return [armed, landed, whether the delay is reported, delay]; NaN: not known."""
+        """Return [armed, landed, whether the delay is reported, delay, type]; NaN: not known."""
         landed = None if self.is_landed is None else float(self.is_landed)
         is_reported = self.gnss_delay is not None
         delay = self.gnss_delay or 0.0
-        return make_row(
-            self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(is_reported), delay
-        )
+        known = float(self.is_armed), landed, float(is_reported), delay, float(self.type)
+        return make_row(self.t_ns, Kind.VEHICLE, *known)
 
 
 Measurement = (
@@ -257,6 +304,8 @@ Measurement = (
     | MagSample
     | BaroSample
     | RangeSample
+    | AirspeedSample
+    | WheelSample
     | VehicleState
 )
 

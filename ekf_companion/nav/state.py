@@ -101,7 +101,11 @@ GYRO_BIAS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
 ACCEL_BIAS = ("accel_bias_x", "accel_bias_y", "accel_bias_z")
 MOTION = (*GEODETIC, *POSITION, *VELOCITY, *QUATERNION, *EULER)
 SIGMA = tuple(f"sd_{name}" for name in (*POSITION, *VELOCITY, *EULER))
-COLUMNS = ["time_us", *MOTION, *GYRO_BIAS, *ACCEL_BIAS, *SIGMA, "status", "reset_count", "reasons"]
+WIND = ("wind_n", "wind_e")
+"""Where the air moves to, m/s; NaN where nothing shows it."""
+WIND_SIGMA = ("sd_wind_n", "sd_wind_e")
+COLUMNS = ["time_us", *MOTION, *GYRO_BIAS, *ACCEL_BIAS, *SIGMA, *WIND, *WIND_SIGMA]
+COLUMNS += ["status", "reset_count", "reasons"]
 """Names of an estimate's numbers, in the order of a CSV row."""
 
 
@@ -112,7 +116,7 @@ class Table:
     stamp_ns: Stamps
     """The samples' own stamps, shape (n,)."""
     values: Array
-    """``COLUMNS`` without the time, shape (n, 34); NaN: not known."""
+    """``COLUMNS`` without the time, shape (n, 38); NaN: not known."""
 
     def __len__(self) -> int:
         return len(self.stamp_ns)

@@ -28,8 +28,8 @@ from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, join
 
 _EVENT = np.dtype(Event)
-STRETCH = 512
-"""Rows of a stretch: 15 kB of state for 60 kB of rows, a tape of 10 MB; up to 250 kB more where the
+STRETCH = 384
+"""Rows of a stretch: 20 kB of state for 45 kB of rows, a tape of 10 MB; up to 250 kB more where the
 fault hypotheses decide."""
 
 

@@ -25,6 +25,7 @@ from ekf_companion.nav.reason import (
     to_words,
 )
 from ekf_companion.nav.state import Status, Table, Trajectory, join
+from ekf_companion.nav.wind import MeanWind
 from ekf_companion.review.extent import Extent
 from ekf_companion.review.left_out import LeftOut
 from ekf_companion.review.stamps import NO_SAMPLES, StampCount
@@ -81,6 +82,7 @@ class Report:
     """From when to when the log's sensors spoke."""
     track: Track = field(default_factory=Track)
     """The positions, to compare with those below."""
+    wind: MeanWind = field(default_factory=MeanWind)
     fix_delay: float = 0.0
     """By which a fix is older than its stamp: configured or declared, and found, s."""
     own: Trajectory | None = None
@@ -119,6 +121,7 @@ class Report:
                 for status, by_reason in self.reasons.items()
             },
             "faults": [one.to_dict(self.extent.first_ns) for one in self.faults],
+            "wind": self.wind.words,
             "resets": self.resets,
             "gaps": health.gaps if health else 0,
             "late": health.reruns if health else 0,
@@ -157,6 +160,7 @@ def add_block(report: Report, events: Events, table: Table) -> None:
     report.derived += int(np.count_nonzero(is_derived(events)))
     report.estimates += len(table)
     report.track.add(events, table)
+    report.wind.add(table)
     report.extent.add(events)
     if len(table):
         spans = table if report.newest is None else join([report.newest, table])
@@ -286,6 +290,8 @@ def summary(report: Report) -> list[str]:
             + (f"; reboots: {report.reboots}" if report.reboots else "")
             + f"; gaps: {report.health.gaps}; late measurements: {late}"
         )
+    if report.wind.words:
+        lines.append(f"  wind: {report.wind.words}, in the mean")
     spent = ", ".join(f"{each.name.lower()} {s:.1f} s" for each, s in report.seconds.items())
     lines.append(f"  status: {spent}")
     for status, by_reason in sorted(report.reasons.items()):

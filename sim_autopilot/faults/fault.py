@@ -147,6 +147,23 @@ _SENSOR: _Kinds = {
         10.0,
         {"lowest": Number(0.3, 0.0, 1e3), "highest": Number(39.0, 0.0, 1e3)},
     ),
+    "pitot-blocked": (
+        "the pitot tube is shut: its pressure stays, and reads as more the higher the vehicle is",
+        20.0,
+        {},
+    ),
+    "pitot-frozen": ("the same airspeed again and again", 20.0, {}),
+    "pitot-scale": (
+        "the airspeed is `factor` times what it is",
+        20.0,
+        {"factor": Number(0.5, -10.0, 10.0)},
+    ),
+    "wheel-slip": (
+        "the wheels turn by `speed` m/s faster than the vehicle moves; its way jumps back after",
+        5.0,
+        {"speed": Number(3.0, -100.0, 100.0)},
+    ),
+    "wheel-frozen": ("the wheels' way stays as it is, and jumps after", 5.0, {}),
 }
 _SETUP: _Kinds = {
     "mounting": (

@@ -26,6 +26,10 @@ class SensorFaults:
         self._zero_ns = zero_ns
         self._good: Cycle | None = None
         self._good_fix: Fix | None = None
+        self._way: dict[int, float] = {}
+        """Way of the wheels at the begin of each fault of theirs, by its number, m."""
+        self._airspeed: dict[int, tuple[float, float]] = {}
+        """Likewise airspeed, m/s, and altitude, m."""
         self._on_fix: dict[str, Callable[[Fault, Fix, float], Fix | None]] = {
             "gnss-outage": _outage,
             "gnss-jump": _jump,
@@ -40,6 +44,11 @@ class SensorFaults:
             "mag-disturbance": _disturbance,
             "baro-step": _step,
             "range-bounce": _bounce,
+            "pitot-blocked": self._blocked,
+            "pitot-frozen": self._pitot_frozen,
+            "pitot-scale": _pitot_scale,
+            "wheel-slip": self._slip,
+            "wheel-frozen": self._wheel_frozen,
             "mounting": _mounting,
             "own-estimate": _own_estimate,
             "accel-drift": _accel_drift,
@@ -70,6 +79,44 @@ class SensorFaults:
     def _frozen(self, fault: Fault, fix: Fix, t: float) -> Fix:
         frozen = self._good_fix or fix
         return frozen._replace(t_ns=fix.t_ns) if fault.values["time"] == "advancing" else frozen
+
+    def _blocked(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        """Read by the pressure that is shut up in the tube: it grows as the vehicle climbs."""
+        if cycle.airspeed is None:
+            return cycle
+        held, alt = self._airspeed.setdefault(
+            self._faults.index(fault), (cycle.airspeed, cycle.truth.alt)
+        )
+        trapped = 0.5 * 1.225 * held * abs(held)
+        trapped += 100.0 * (pressure(alt) - pressure(cycle.truth.alt))
+        read = math.copysign(math.sqrt(abs(trapped) / (0.5 * 1.225)), trapped)
+        noise = 0.05 * np.random.default_rng(cycle.number).standard_normal()
+        return cycle._replace(airspeed=read + float(noise))
+
+    def _pitot_frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        if cycle.airspeed is None:
+            return cycle
+        held = self._airspeed.setdefault(self._faults.index(fault), (cycle.airspeed, 0.0))
+        return cycle._replace(airspeed=held[0])
+
+    def _slip(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        """Turn the wheels further than the vehicle moves, by a speed; what is gained stays."""
+        if cycle.wheel_m is None:
+            return cycle
+        return cycle._replace(wheel_m=cycle.wheel_m + fault.number("speed") * t)
+
+    def _wheel_frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        if cycle.wheel_m is None:
+            return cycle
+        return cycle._replace(
+            wheel_m=self._way.setdefault(self._faults.index(fault), cycle.wheel_m)
+        )
+
+
+def _pitot_scale(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if cycle.airspeed is None:
+        return cycle
+    return cycle._replace(airspeed=fault.number("factor") * cycle.airspeed)
 
 
 def _outage(fault: Fault, fix: Fix, t: float) -> Fix | None:

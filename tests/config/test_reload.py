@@ -21,7 +21,7 @@ def test_what_decides_on_the_state_the_link_or_files_waits_for_a_restart():
     waiting = {name for name, key in KEYS.items() if not key.setting.reload}
     assert {name.partition(".")[0] for name in waiting} == {
         *("link", "signing", "output", "parameters", "record", "checkpoint", "http", "live"),
-        *("imu", "gnss", "heading", "align", "window", "weigh_faults"),
+        *("imu", "gnss", "heading", "align", "window", "weigh_faults", "airspeed", "wheel"),
     }
     assert {name for name in waiting if name.startswith(("output", "align"))} == {
         *(

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.enums import E_BARO, E_HEADING, Aid, Azimuth
+from ekf_companion.core.memory.enums import E_BARO, E_HEADING, SLOW_ERRORS, Aid, Azimuth
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Motion
 from tests.core.interpreted import load
 from tests.core.states import a_state, array, let_walk, some_parameters
+
+E_AIRSPEED = SLOW_ERRORS["airspeed"]
 
 
 def scaled(learns: bool, dt: float = 0.01):
@@ -31,6 +33,16 @@ def test_without_learning_only_what_is_configured_counts():
     assert m.new_bias == 0.0
     speed2 = np.dot(x.vel_n, x.vel_n)
     assert m.slow_walk[E_BARO] == pytest.approx((0.05**2 + 0.01**2 * speed2) * 0.01)
+
+
+def test_a_wind_walks_by_time_and_by_height_climbed_or_lost():
+    x, k, m = scaled(learns=False)
+    let_walk(k, Aid.AIRSPEED, 0.05)
+    k.aid[Aid.AIRSPEED].climb_walk[0] = 0.2
+    x.vel_n[2], x.pending.dt = -3.0, 0.01
+    load().process_noise.scale_noise(x, k, m)
+    assert m.slow_walk[E_AIRSPEED] == pytest.approx((0.05**2 + 0.6**2) * 0.01)
+    assert m.slow_walk[E_AIRSPEED + 1] == 0.0
 
 
 def test_what_is_doubted_adds_to_what_was_learnt():

@@ -102,3 +102,11 @@ def test_it_is_known_of_which_error_another_is_a_copy():
     assert x.copied[E_HEADING] == E_BG
     load().slow_error.reset_variance(x, E_HEADING, 1, 1.0)
     assert x.copied[E_HEADING] == -1
+
+
+def test_a_share_of_another_error_brings_its_correlations():
+    x = a_covariance(4)
+    before, A = array(x.P).copy(), np.eye(N)
+    A[E_HEADING, E_BG] = -0.7
+    load().slow_error.add_error(x, E_HEADING, E_BG, -0.7)
+    np.testing.assert_allclose(array(x.P), A @ before @ A.T, rtol=1e-12, atol=1e-12)

@@ -15,7 +15,16 @@ from ekf_companion.errors import LogError, MissingPackageError
 from ekf_companion.logs import ulog
 from ekf_companion.logs.writer import WRITERS, Thinning, open_writer, with_position
 from ekf_companion.nav import reason
-from ekf_companion.nav.state import COLUMNS, GEODETIC, POSITION, QUATERNION, Status, Table
+from ekf_companion.nav.state import (
+    COLUMNS,
+    GEODETIC,
+    POSITION,
+    QUATERNION,
+    WIND,
+    WIND_SIGMA,
+    Status,
+    Table,
+)
 from ekf_companion.review.convert import convert, estimate, estimate_and_smooth
 from sim_autopilot.__main__ import app as sim
 from tests.daemon.waiting import LIMIT
@@ -99,7 +108,7 @@ def test_mcap_holds_poses_fixes_transforms_plots_and_log_lines(flown):
     assert [stamp for stamp, _ in plots] == table.stamp_ns.tolist()
     assert plots[-1][1]["vel_n"] == table.column("vel_n")[-1]
     assert "vel_n" not in plots[0][1]
-    assert set(COLUMNS[1:]) - set(plots[-1][1]) <= {"wind_n", "wind_e", "terrain_height"}
+    assert set(COLUMNS[1:]) - set(plots[-1][1]) <= {*WIND, *WIND_SIGMA}
     stamps = table.stamp_ns.tolist()
     for stamp, pose in found["/pose", "foxglove.PoseInFrame"]:
         row = stamps.index(stamp)

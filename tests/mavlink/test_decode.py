@@ -18,6 +18,7 @@ from ekf_companion.nav.measurements import (
     RangeSample,
     Restart,
     VehicleState,
+    VehicleType,
 )
 
 ACCEL_GYRO, MAG, BARO = 0x3F, 0x1C0, 0x1A00
@@ -770,14 +771,15 @@ def test_armed_and_landed_are_told():
     assert peer.say("heartbeat", **heartbeat) == []
     peer.highres(4_000)
     assert peer.say("heartbeat", base_mode=128, **heartbeat) == [
-        VehicleState(t_ns=4_000_000, is_armed=True)
+        VehicleState(t_ns=4_000_000, is_armed=True, type=VehicleType.ROTARY)
     ]
     for landed_state, is_landed in [(1, True), (2, False), (3, None), (0, None), (4, False)]:
         states = peer.say("extended_sys_state", landed_state=landed_state)
         if landed_state == 3:
             assert states == []  # still in the air
         else:
-            assert states == [VehicleState(t_ns=4_000_000, is_armed=True, is_landed=is_landed)]
+            known = {"t_ns": 4_000_000, "is_armed": True, "type": VehicleType.ROTARY}
+            assert states == [VehicleState(**known, is_landed=is_landed)]
 
 
 @pytest.mark.parametrize("first", ["highres", "attitude", "system_time", "scaled_pressure"])

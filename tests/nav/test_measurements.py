@@ -2,6 +2,7 @@ import numpy as np
 
 from ekf_companion.nav.measurements import (
     WIDTH,
+    AirspeedSample,
     BaroSample,
     Events,
     GnssFix,
@@ -14,6 +15,7 @@ from ekf_companion.nav.measurements import (
     RangeSample,
     Restart,
     VehicleState,
+    WheelSample,
     merge,
 )
 
@@ -25,6 +27,8 @@ SAMPLES = [
     MagSample(t_ns=2, mag_x=0.1, mag_y=0.2, mag_z=0.3),
     BaroSample(t_ns=1, alt=100.0),
     RangeSample(t_ns=7, range=2.5),
+    AirspeedSample(t_ns=8, airspeed=21.0, is_indicated=True),
+    WheelSample(t_ns=9, speed=-1.5, std=0.2),
     VehicleState(t_ns=6, is_armed=True),
 ]
 

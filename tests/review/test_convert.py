@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from ekf_companion.logs import tlog
-from ekf_companion.nav.state import COLUMNS
+from ekf_companion.nav.state import COLUMNS, WIND, WIND_SIGMA
 from sim_autopilot.__main__ import app as sim
 
 SECONDS = 25.0
@@ -55,6 +55,7 @@ def test_a_row_for_each_sample_with_the_promised_columns(flown, tmp_path):
     assert rows[0]["lat_deg"] == ""
     assert rows[-1]["status"] == "ok"
     assert rows[-1].pop("reasons") == ""
+    assert {rows[-1].pop(name) for name in (*WIND, *WIND_SIGMA)} == {""}
     assert all(rows[-1].values())
     assert "status: aligning" in result.output
 

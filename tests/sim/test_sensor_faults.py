@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.nav.earth import LocalFrame
-from sim_autopilot.config import RangeFinderConfig, SimConfig
+from sim_autopilot.config import AirspeedConfig, RangeFinderConfig, SimConfig, WheelConfig
 from sim_autopilot.faults.fault import KINDS, Layer, parse
 from sim_autopilot.faults.sensors import SensorFaults
 from sim_autopilot.flight import Flight
@@ -17,7 +17,11 @@ INSIDE = range(499, 1249)
 
 @functools.cache
 def flight():
-    config = SimConfig(range_finder=RangeFinderConfig(fitted=True))
+    config = SimConfig(
+        range_finder=RangeFinderConfig(fitted=True),
+        airspeed=AirspeedConfig(fitted=True),
+        wheel=WheelConfig(fitted=True),
+    )
     return Flight.plan("figure-eight", config, duration=8.0, skip=15.0)
 
 
@@ -120,6 +124,31 @@ def test_the_field_and_the_pressure_are_shifted():
         if was is not None:
             assert now[1] == was[1] + 20.0
             assert was[0] - now[0] == pytest.approx(2.25, abs=0.1)  # hPa in 20 m at 500 m
+
+
+def test_a_frozen_pitot_tube_or_wheel_repeats_its_last_reading():
+    for kind, field in (("pitot-frozen", "airspeed"), ("wheel-frozen", "wheel_m")):
+        found = {getattr(faulty(f"{kind}:{WHEN}")[k], field) for k in INSIDE}
+        assert found == {getattr(right()[INSIDE[0]], field)}
+
+
+def test_a_pitot_tube_that_is_shut_reads_more_the_higher_the_vehicle_is():
+    shut = [faulty(f"pitot-blocked:{WHEN}")[k] for k in INSIDE]
+    begin = shut[0]
+    for one in shut[::50]:
+        # hydrostatic, of air of 1.17 kg/m^3
+        more = 2.0 * 9.81 * 1.17 / 1.225 * (one.truth.alt - begin.truth.alt)
+        assert one.airspeed == pytest.approx(np.sqrt(begin.airspeed**2 + more), abs=0.5)
+    noise = np.diff([one.airspeed for one in shut])
+    assert 0.0 < np.std(noise) < 0.2
+
+
+def test_wheels_that_slip_turn_further_and_a_scale_is_a_factor():
+    slip = f"wheel-slip:{WHEN},speed=2"
+    gained = [faulty(slip)[k].wheel_m - right()[k].wheel_m for k in (INSIDE[0], INSIDE[-1])]
+    assert gained == pytest.approx([0.0, 6.0], abs=0.01)
+    k = INSIDE[100]
+    assert faulty(f"pitot-scale:{WHEN},factor=-1")[k].airspeed == -right()[k].airspeed
 
 
 def test_faults_can_overlap():

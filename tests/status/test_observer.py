@@ -48,11 +48,13 @@ class Watched:
         self.companion = Companion(config or Config(), warm_start=warm_start)
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
-    def fly(self, duration, **options):
+    def fly(self, duration, name="hover", **options):
         """Feed what an autopilot says, which hears what we say and answers it."""
         config = SimConfig(**options)
-        autopilot = Autopilot(config)
-        for cycle in Flight.plan("hover", config, duration=duration).cycles():
+        flight = Flight.plan(name, config, duration=duration)
+        flown = flight.scenario
+        autopilot = Autopilot(config, is_wing=flown.is_wing, is_rolling=flown.is_rolling)
+        for cycle in flight.cycles():
             autopilot.cycle(cycle)
             said = self._turn(cycle.t_ns, b"".join(autopilot.data_to_send()))
             autopilot.receive(b"".join(said), cycle.t_ns)

@@ -7,7 +7,7 @@ import pytest
 
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.status.judge import to_json
-from sim_autopilot.config import RangeFinderConfig
+from sim_autopilot.config import AirspeedConfig, RangeFinderConfig, WheelConfig
 from tests.status.test_observer import MS, Watched
 
 AUTOPILOT = Sender(1, 1)
@@ -73,10 +73,12 @@ def test_each_aid_names_its_source_and_since_when_it_is_used(flown, vehicle):
         "baro": "HIGHRES_IMU, barometer",
         "rest": "the inertial samples",
         "range_finder": "",
+        "airspeed": "",
+        "wheel": "",
     }
     assert {name: aid.state for name, aid in vehicle.aids.items()} == {
         **dict.fromkeys(sources, "used"),
-        "range_finder": "none",
+        **dict.fromkeys(("range_finder", "airspeed", "wheel"), "none"),
     }
     assert 5.0 < vehicle.aids["position"].since_s < 8.0
 
@@ -85,6 +87,23 @@ def test_a_range_finder_is_asked_for_and_used():
     watched = Watched().fly(8.0, range_finder=RangeFinderConfig(fitted=True))
     aid = watched.snapshot().vehicle.aids["range_finder"]
     assert (aid.source, aid.state) == ("DISTANCE_SENSOR, range finder", "used")
+
+
+@pytest.mark.parametrize(
+    ("name", "flight", "fitted", "source"),
+    [
+        ("airspeed", "loiter", AirspeedConfig(fitted=True), "AIRSPEED, airspeed sensor"),
+        ("wheel", "drive", WheelConfig(fitted=True), "WHEEL_DISTANCE, wheel encoder"),
+    ],
+)
+def test_airspeed_and_wheels_are_asked_for_and_used_by_the_vehicle_that_has_them(
+    name, flight, fitted, source
+):
+    watched = Watched().fly(22.0, flight, **{name: fitted})
+    aid = watched.snapshot().vehicle.aids[name]
+    assert (aid.source, aid.state) == (source, "used")
+    hovering = Watched().fly(12.0, **{name: fitted}).snapshot().vehicle.aids[name]
+    assert hovering.state == "none"
 
 
 def test_an_aid_that_comes_no_more_is_lost():

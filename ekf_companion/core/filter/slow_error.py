@@ -77,6 +77,15 @@ def copy_error(x: State, e: int, source: int, variance: float) -> None:
     x.copied[e] = source
 
 
+def add_error(x: State, e: int, source: int, share: float) -> None:
+    """Add a share of another error state to one: its correlations with all others follow."""
+    for j in range(N):
+        x.P[e][j] += share * x.P[source][j]
+    for j in range(N):
+        x.P[j][e] = x.P[e][j]
+    x.P[e][e] += share * x.P[e][source]
+
+
 def forget_offsets(x: State) -> None:
     """Let the aids' slow errors be found anew; the barometer's is judged with the height."""
     for aid in range(AIDS):

@@ -38,6 +38,8 @@ class SlowError:
     """Of its unit by sqrt(s); None: it keeps still."""
     speed_walk: str | None = "speed_walk"
     """The same for each m/s of speed."""
+    climb_walk: str | None = None
+    """The same for each m/s of climb or descent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +58,24 @@ class Declaration:
     row: dict[str, Value]
     """By name; they stand in this order from the first number of the row."""
     slow_errors: dict[str, SlowError]
+    stuck_after: float
+    """Time for which a sensor that works cannot repeat a reading to the bit, s; 0: it can."""
+    patience: int
+    """Readings in a row that may lie between the gates; more are refused. 0: any number may."""
+    yields: bool
+    """Whether the receiver's velocity is right where the two contradict each other."""
 
 
-def aid(kind: Kind, *, words: str, sensor: str, advice: str) -> Callable[[type], type]:
+def aid(
+    kind: Kind,
+    *,
+    words: str,
+    sensor: str,
+    advice: str,
+    stuck_after: float = 0.0,
+    patience: int = 0,
+    yields: bool = False,
+) -> Callable[[type], type]:
     """Mark the class that declares an aid; its values and slow errors are what it assigns."""
 
     def mark(declared: Any) -> type:
@@ -67,7 +84,8 @@ def aid(kind: Kind, *, words: str, sensor: str, advice: str) -> Callable[[type],
         if len(row) > WIDTH:
             raise ValueError(f"{declared.__name__}: a row has {WIDTH} numbers, this {len(row)}")
         name = declared.__module__.rpartition(".")[2]
-        declared.found = Declaration(name, kind, words, sensor, advice, row, errors)
+        faults = stuck_after, patience, yields
+        declared.found = Declaration(name, kind, words, sensor, advice, row, errors, *faults)
         return declared
 
     return mark

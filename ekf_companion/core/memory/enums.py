@@ -8,7 +8,7 @@ from typing import Any
 
 from ekf_companion.core.memory.aid import DECLARED
 from ekf_companion.core.memory.declare import enum_member
-from ekf_companion.nav.measurements import GnssFlag, Kind
+from ekf_companion.nav.measurements import GnssFlag, Kind, VehicleType
 from ekf_companion.nav.state import Reason, Status
 
 _OTHERS = {
@@ -275,6 +275,7 @@ class Link(IntEnum):
 ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "KIND": Kind,
     "FLAG": GnssFlag,
+    "VEHICLE": VehicleType,
     "STATUS": Status,
     "REASON": Reason,
     "ARRIVAL": Arrival,

@@ -23,12 +23,20 @@ class AidParameters:
     """Random walk of its slow errors, of their units by sqrt(s)."""
     speed_walk: Annotated[Vector, MOST_SLOW_ERRORS]
     """The same for each m/s of speed."""
+    climb_walk: Annotated[Vector, MOST_SLOW_ERRORS]
+    """The same for each m/s of climb or descent."""
     own: Annotated[Vector, MOST_OWN]
     """Its other settings, in the order in which they are declared."""
     error: Real
     """The first of its slow errors in P."""
     errors: Real
     """How many it has."""
+    stuck_after: Real
+    """Time after which a reading that does not change is a fault, s; 0: never."""
+    patience: Real
+    """Readings in a row that may lie between the gates; 0: any number may."""
+    yields: Real
+    """It is wrong where the receiver's velocity contradicts it."""
 
 
 @struct
@@ -88,6 +96,8 @@ class Parameters:
     """One sigma of the slow error of the receiver's velocity, m/s."""
     gnss_vel_offset_time: Real
     """Its time constant, s."""
+    vehicle: Real
+    """:class:`~.measurements.VehicleType`; 0: as the autopilot reports it."""
     heading: Real
     """:class:`HeadingChoice`."""
     mag_std: Real

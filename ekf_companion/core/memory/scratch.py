@@ -65,6 +65,8 @@ class VehicleRow:
     landed: Real
     tells_delay: Real
     gnss_delay: Real
+    type: Real
+    """:class:`~.measurements.VehicleType`."""
 
 
 @union
@@ -353,6 +355,9 @@ class Estimate:
     std_pos: Annotated[Vector, 3]
     std_vel: Annotated[Vector, 3]
     std_euler: Annotated[Vector, 3]
+    wind: Annotated[Vector, 2]
+    """Where the air moves to, north and east, m/s."""
+    std_wind: Annotated[Vector, 2]
     status: Real
     resets: Real
     reasons: Real

@@ -572,6 +572,8 @@ class Evidence:
     lever: Lever
     armed: Real
     landed: Real
+    vehicle: Real
+    """:class:`~.measurements.VehicleType`, as the autopilot reports it."""
     ground: Real
     """Down position of the last rest, m."""
     has_ground: Real
@@ -631,6 +633,12 @@ class Evidence:
     """When each aid was last fused, ns."""
     refused_t: Annotated[Vector, AIDS]
     """Since when each has been refused, ns."""
+    reading: Annotated[Vector, AIDS]
+    """Last reading of an aid that declares itself, the first number of its row."""
+    changed_t: Annotated[Vector, AIDS]
+    """When that changed last, ns."""
+    doubtful: Annotated[Vector, AIDS]
+    """Readings of it in a row that were beyond the soft gate."""
     ratio: Annotated[Vector, AIDS]
     """Last NIS of each aid over its gate; NaN: there was no covariance to judge by."""
     is_denied: Annotated[Vector, AIDS]

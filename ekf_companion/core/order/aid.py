@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import carry
+from cython.cimports.ekf_companion.core.filter.update import innovate
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
+    AID_VELOCITY,
     MODE_LEVEL,
+    VERDICT_DENIED,
     VERDICT_FUSED,
     VERDICT_SUPERSEDED,
     VERDICT_SUSPECT,
@@ -15,10 +19,16 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
-from cython.cimports.ekf_companion.core.memory.scratch import Scratch
+from cython.cimports.ekf_companion.core.memory.scratch import Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order import dispatch
 from cython.cimports.ekf_companion.core.trust import gate, repair, shape, voices
+
+DOUBTED = cython.declare(cython.double, 30.0)
+"""Doubt in the samples beyond which it is an aid's speed that is wrong, not they: with wheels that
+turn as they should it was up to 17."""
+FRESH = cython.declare(cython.double, 2e9)
+"""Time since the last fix up to which its velocity speaks against an aid's, ns."""
 
 
 def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None:
@@ -36,21 +46,66 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
             x.has_aid[aid] = 0.0
             gate.count_verdict(x, aid, VERDICT_SUSPECT)
             return
+    note_reading(x, aid, row)
     if x.has_aid[aid] != 0.0:
         if not dispatch.observe(x, k, o, aid, row):
             gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
             return
+        if is_stuck(x, k, aid):
+            gate.count_verdict(x, aid, VERDICT_DENIED)
+            return
+        if is_outvoted(x, k, aid):
+            x.has_aid[aid] = 0.0
+            gate.count_verdict(x, aid, VERDICT_DENIED)
+            return
         if k.weighs_faults == WEIGH_ACT:
             shape.take_off(x, o, aid)
-        if gate.fuse(x, k, o, aid):
+        nis = innovate(x, o)
+        if gate.fuse_judged(x, k, o, aid, nis, is_persistent(x, k, o, aid, nis)):
             return
         # where faults are weighed a long refusal is judged by them, and ends by no time-out
         if k.weighs_faults == WEIGH_ACT or not gate.is_timed_out(x, aid, k.timeout_height):
             return
-    carry(x, k, aid)
-    if not dispatch.begin(x, k, aid, row):
+    if is_stuck(x, k, aid) or is_outvoted(x, k, aid) or not dispatch.begin(x, k, aid, row):
         gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
         return
+    carry(x, k, aid)
     x.has_aid[aid] = 1.0
     x.used_t[aid] = x.t
     gate.count_verdict(x, aid, VERDICT_FUSED)
+
+
+def note_reading(x: State, aid: int, row: Vector) -> None:
+    """Note when the reading of an aid has changed last."""
+    if row[0] != x.reading[aid]:
+        x.reading[aid] = row[0]
+        x.changed_t[aid] = x.t
+
+
+def is_persistent(x: State, k: Parameters, o: Observation, aid: int, nis: float) -> bool:
+    """Return whether readings go on being beyond the soft gate: they are no outliers, but wrong.
+
+    A sensor that does not yield to the receiver's velocity is believed again only beside it:
+    without one the gate widens until anything fits.
+    """
+    patience = k.aid[aid].patience
+    is_wrong = cython.declare(cython.bint, patience > 0.0 and x.doubtful[aid] > patience)
+    is_alone = cython.declare(cython.bint, x.t - x.used_t[AID_VELOCITY] > FRESH)
+    if nis > k.soft_gate[o.rows - 1]:
+        x.doubtful[aid] += 1.0
+    elif not (is_wrong and is_alone and k.aid[aid].yields == 0.0):
+        x.doubtful[aid] = 0.0
+    return patience > 0.0 and x.doubtful[aid] > patience
+
+
+def is_outvoted(x: State, k: Parameters, aid: int) -> bool:
+    """Return whether the receiver's velocity, which comes, contradicts an aid's."""
+    if k.aid[aid].yields == 0.0 or x.t - x.fix_t > FRESH:
+        return False
+    return x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY] or x.doubt > DOUBTED
+
+
+def is_stuck(x: State, k: Parameters, aid: int) -> bool:
+    """Return whether an aid repeats its reading to the bit for longer than its sensor can."""
+    after = k.aid[aid].stuck_after
+    return after > 0.0 and x.t - x.changed_t[aid] > after * 1e9

@@ -79,7 +79,7 @@ def is_sane(kind: int, values: Numbers) -> bool:
             and 0.0 <= values[3] < 16.0
         )
     if kind == KIND_VEHICLE:
-        return not isnan(values[0]) and fabs(values[3]) <= 1.0
+        return not isnan(values[0]) and fabs(values[3]) <= 1.0 and 0.0 <= values[4] <= 4.0
     return dispatch.is_possible(kind, values)
 
 

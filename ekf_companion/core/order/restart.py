@@ -21,6 +21,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     MODE_LEVEL,
     RESET_BOUNDS,
     RUNS,
+    VEHICLE_UNKNOWN,
     N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import clear_estimated, errors
@@ -45,6 +46,7 @@ def forget_sensors(x: State) -> None:
     """
     x.armed = NAN
     x.landed = NAN
+    x.vehicle = VEHICLE_UNKNOWN
     x.raw_fix_t = NEVER
     x.receiver = 0.0
     x.alone_t = NEVER

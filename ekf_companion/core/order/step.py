@@ -159,6 +159,7 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
     elif event.kind == KIND_VEHICLE:
         x.armed = v.vehicle.armed
         x.landed = v.vehicle.landed
+        x.vehicle = v.vehicle.type
         if v.vehicle.tells_delay == 1.0:
             delay.take_told(x, k, v.vehicle.gnss_delay)
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.aids import airspeed
 from cython.cimports.ekf_companion.core.filter.rotation import rotate, to_dcm, wrap
 from cython.cimports.ekf_companion.core.filter.slow_error import add_spread, copy_moving
 from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapdown
@@ -11,12 +12,14 @@ from cython.cimports.ekf_companion.core.filter.update import copy_nominal
 from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_AIRSPEED,
     AID_HEADING,
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
+    E_AIRSPEED,
     E_ATT,
     E_POS,
     E_VEL,
@@ -244,6 +247,8 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
     out.lla[0] = (x.origin.lat + y.pos_n[0] / x.origin.scale_n) * DEG
     out.lla[1] = wrap(x.origin.lon + y.pos_n[1] / x.origin.scale_e) * DEG
     out.lla[2] = x.origin.alt - y.pos_n[2]
+    if x.has_aid[AID_AIRSPEED] != 0.0 and airspeed.is_plausible(x, k):
+        write_wind(x, out)
     return status
 
 
@@ -261,6 +266,17 @@ def clear(out: Estimate) -> None:
         out.std_euler[i] = NAN
     for i in range(4):
         out.q_nb[i] = NAN
+    for i in range(2):
+        out.wind[i] = NAN
+        out.std_wind[i] = NAN
+
+
+def write_wind(x: State, out: Estimate) -> None:
+    """Write the wind that velocity and airspeed have shown."""
+    out.wind[0] = x.airspeed_wind_n
+    out.wind[1] = x.airspeed_wind_e
+    for i in range(2):
+        out.std_wind[i] = sqrt(x.P[E_AIRSPEED + i][E_AIRSPEED + i])
 
 
 def write_axis(x: State, y: State, out: Estimate, axis: int) -> None:

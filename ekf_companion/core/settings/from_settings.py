@@ -58,6 +58,7 @@ def parameters(
     k.white_share = math.nan if gnss.white_share == "auto" else gnss.white_share
     k.vel_std_default = gnss.velocity_std_unknown
 
+    k.vehicle = ("auto", "fixed_wing", "rotary", "ground", "other").index(settings.vehicle)
     k.heading = ("auto", "gnss", "magnetometer", "autopilot").index(heading.source)
     k.mag_std, k.mag_noise = heading.magnetometer_std, heading.magnetometer_noise
     k.iron_std, k.iron_walk = heading.hard_iron_std, heading.hard_iron_walk
@@ -67,15 +68,17 @@ def parameters(
     for one in DECLARED:
         own, numbers_of = getattr(settings, one.name), k.aid[Aid[one.name.upper()]]
         numbers_of.use, numbers_of.std = own.use, own.std
+        numbers_of.stuck_after, numbers_of.patience = one.stuck_after, one.patience
+        numbers_of.yields = one.yields
         errors = one.slow_errors.values()
-        walks, speed_walks = [e.walk for e in errors], [e.speed_walk for e in errors]
-        numbers_of.walk[: len(walks)] = [getattr(own, name) if name else 0.0 for name in walks]
-        numbers_of.speed_walk[: len(walks)] = [
-            getattr(own, name) if name else 0.0 for name in speed_walks
-        ]
-        known = {"use", "std", *walks, *speed_walks}
+        known = {"use", "std"}
+        for walk in ("walk", "speed_walk", "climb_walk"):
+            names = [getattr(error, walk) for error in errors]
+            found = [getattr(own, name) if name else 0.0 for name in names]
+            getattr(numbers_of, walk)[: len(found)] = found
+            known |= {*names}
         rest = [getattr(own, f.name) for f in dataclasses.fields(own) if f.name not in known]
-        flat = np.hstack([[], *rest])
+        flat = np.hstack([[], *(math.nan if one == "auto" else one for one in rest)])
         numbers_of.own[: len(flat)] = flat
         numbers_of.error, numbers_of.errors = SLOW_ERRORS.get(one.name, 0), len(one.slow_errors)
     k.align_time, k.use_rest = settings.align.time, settings.align.use_rest
@@ -148,6 +151,9 @@ def delays_ns(
     late[Kind.GNSS] = round(configured_delay(settings, family, gnss_delay) * 1e9)
     late[Kind.IMU] = round(imu_lag(settings, family) * 1e9)
     mag = settings.heading.magnetometer_delay
+    air = settings.airspeed.delay
+    late[Kind.AIRSPEED] = round((HABITS[family].airspeed_delay if air == "auto" else air) * 1e9)
+    late[Kind.WHEEL] = round(settings.wheel.delay * 1e9)
     late[Kind.MAG] = round((HABITS[family].mag_delay if mag == "auto" else mag) * 1e9)
     return late
 

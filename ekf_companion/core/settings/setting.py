@@ -14,6 +14,7 @@ from msgspec import Meta
 Auto = Literal["auto"]
 Seconds = Annotated[float, Meta(ge=-1.0, le=1.0)]
 DelayStd = Annotated[float, Meta(ge=0.0, le=0.5)]
+Angle = Annotated[float, Meta(ge=-3.2, le=3.2)]
 Declination = Annotated[float, Meta(ge=-3.2, le=3.2)]
 Positive = Annotated[float, Meta(ge=1e-9, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from ekf_companion.core.settings.setting import (
+    Angle,
     Auto,
     Declination,
     DelayStd,
@@ -40,6 +41,8 @@ class Habit:
     """What a sample is: the mean since the one before, or a reading at its time."""
     mag_delay: float
     """A magnetic field is older than its stamp by this, s."""
+    airspeed_delay: float
+    """An airspeed is older than its stamp by this, s."""
     keeps_bias: bool
     """The biases of what it sends are the sensors' own, and the same after a reboot in flight."""
 
@@ -50,6 +53,7 @@ HABITS = {
     # of its earlier years the delay was 0.2 s and more.
     # Its compass is the mean of what a driver has read in the 0.1 s since the reading before: 0.050
     # to 0.052 s late in three flights with a truth, 0.04 to 0.06 in a real copter's log.
+    # Its airspeed is smoothed: 0.25 s late in its simulator's flight with a truth.
     "ardupilot": Habit(
         gnss_delay=0.085,
         gnss_delay_std=0.1,
@@ -57,10 +61,12 @@ HABITS = {
         imu_lag=0.0115,
         imu_samples="instant",
         mag_delay=0.05,
+        airspeed_delay=0.25,
         keeps_bias=True,
     ),
     # PX4 takes its own filter's biases off, which begin anew with it. It sends means and stamps a
-    # fix on arrival: no delay in its simulator, 0.06 to 0.11 s with receivers.
+    # fix on arrival: no delay in its simulator, 0.06 to 0.11 s with receivers. An airspeed it takes
+    # for 0.1 s late (EKF2_ASP_DELAY).
     "px4": Habit(
         gnss_delay=0.05,
         gnss_delay_std=0.06,
@@ -68,6 +74,7 @@ HABITS = {
         imu_lag=0.002,
         imu_samples="mean",
         mag_delay=0.0,
+        airspeed_delay=0.1,
         keeps_bias=False,
     ),
     "unknown": Habit(
@@ -77,6 +84,7 @@ HABITS = {
         imu_lag=0.0,
         imu_samples="mean",
         mag_delay=0.0,
+        airspeed_delay=0.0,
         keeps_bias=False,
     ),
 }
@@ -267,6 +275,59 @@ class RangeFinderSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AirspeedSettings:
+    """An airspeed sensor, whose slow errors are the wind and a scale; and sideslip."""
+
+    use: Annotated[bool, Setting(reload=True)] = True
+    """Use the airspeed in flight, once there is a position; of a multirotor it is not used."""
+    std: Annotated[Positive, Setting("m/s", reload=True)] = 1.4
+    """White noise of the airspeed, gusts among it, ten times a second, if the sensor states no
+    more; as EKF2_EAS_NOISE and EK3_EAS_M_NSE have it."""
+    wind_walk: Annotated[NotNegative, Setting("m/s/sqrt(s)", reload=True)] = 0.05
+    """Random walk of the wind per axis, as EKF2_WIND_NSD has it."""
+    wind_climb_walk: Annotated[NotNegative, Setting("m/s/sqrt(s) per m/s", reload=True)] = 0.05
+    """Random walk of the wind for each m/s of climb: with height wind grows. EKF2 has half of it,
+    with which an estimate lagged behind the wind of a climb to 50 m by 1.8 of its sigmas."""
+    scale: Annotated[Positive, Setting(reload=True)] = 0.1
+    """One sigma of the scale before flight shows it: calibration, mounting, the air's density."""
+    scale_walk: Annotated[NotNegative, Setting("1/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of the scale."""
+    least_speed: Annotated[Positive, Setting("m/s", reload=True)] = 5.0
+    """Least airspeed that counts: below, a pitot tube measures noise, and the air may come from any
+    side. EKF3 assumes no sideslip from 5 m/s on; EKF2_ARSP_THR is 8 in PX4's fixed wings."""
+    sideslip: Annotated[NotNegative, Setting("rad", reload=True)] = 0.17
+    """One sigma of the angle by which the air comes from the side of a fixed wing in flight, as
+    EKF3 has it. EKF2_BETA_NOISE: 0.3. 0: nothing is assumed of it."""
+    delay: Annotated[Seconds | Auto, Setting("s", auto="airspeed_delay")] = "auto"
+    """An airspeed is older than its stamp by this."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelSettings:
+    """The speed of a ground vehicle's wheels; and that it moves along its own axis."""
+
+    use: Annotated[bool, Setting(reload=True)] = True
+    """Use the wheels, once there is a position; only of a vehicle that rolls."""
+    std: Annotated[Positive, Setting("m/s", reload=True)] = 0.1
+    """One sigma of the speed over a second, if the sensor states no more."""
+    slip: Annotated[NotNegative, Setting(reload=True)] = 0.02
+    """One sigma of what slips within a second, along and across, as a share of the speed. Raise it
+    on loose ground and for tracks."""
+    across: Annotated[NotNegative, Setting("m/s", reload=True)] = 0.2
+    """The same of the speed across and up beside that: rough ground, suspension. 0: nothing is
+    assumed of where the vehicle moves to."""
+    scale_walk: Annotated[NotNegative, Setting("1/sqrt(s)", reload=True)] = 1e-3
+    """Random walk of the scale, which the first readings in motion with fixes show."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """The middle of the axle that does not steer, from the inertial sensor: forward, right,
+    down."""
+    yaw: Annotated[Angle, Setting("rad")] = 0.0
+    """Where the wheels point to in the body, from its forward axis to the right."""
+    delay: Annotated[Seconds, Setting("s")] = 0.0
+    """A speed is older than its stamp by this."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AlignSettings:
     """The start, which finds down and north before anything is estimated, and standing still."""
 
@@ -323,9 +384,16 @@ class FilterSettings:
     heading: HeadingSettings = field(default_factory=HeadingSettings)
     baro: BaroSettings = field(default_factory=BaroSettings)
     range_finder: RangeFinderSettings = field(default_factory=RangeFinderSettings)
+    airspeed: AirspeedSettings = field(default_factory=AirspeedSettings)
+    wheel: WheelSettings = field(default_factory=WheelSettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     gate: GateSettings = field(default_factory=GateSettings)
     integrity: IntegritySettings = field(default_factory=IntegritySettings)
+    vehicle: Annotated[
+        Literal["auto", "fixed_wing", "rotary", "ground", "other"], Setting(reload=True)
+    ] = "auto"
+    """How the vehicle moves: what is assumed of sideslip and wheels. auto: by HEARTBEAT, or what
+    the log says of it; where nothing does, nothing is assumed that a sensor does not imply."""
     window: Annotated[float, Meta(ge=0.1, le=10.0), Setting("s")] = 2.0
     """How late a measurement may come and still take its place in time. Longer takes memory and,
     where measurements are that late, time."""

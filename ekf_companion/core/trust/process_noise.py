@@ -69,7 +69,8 @@ def scale_noise(x: State, k: Parameters, m: Motion) -> None:
             if aid == AID_BARO:
                 by_speed *= x.walk.speed_share if k.learn_noise != 0.0 else 1.0
                 walk.note_baro_walk(x, steady, by_speed, speed2)
-            m.slow_walk[first + i] = steady + by_speed
+            by_climb = k.aid[aid].climb_walk[i] * x.vel_n[2]
+            m.slow_walk[first + i] = steady + by_speed + by_climb * by_climb * dt
 
     # What changes within a minute need not be carried on every few milliseconds
     x.slow_dt += dt

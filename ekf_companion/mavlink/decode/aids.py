@@ -8,12 +8,20 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.nav.measurements import Kind, RangeSample
+from ekf_companion.nav.measurements import AirspeedSample, Kind, RangeSample, WheelSample
 
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270."""
 UNKNOWN_VARIANCE = (0, 255)
 """cm^2; ArduPilot sends 0, MAVLink means 255."""
+UNHEALTHY, USING = 1, 2
+"""AIRSPEED_SENSOR_FLAGS."""
+DIFFERENTIAL_PRESSURE = 16
+"""MAV_SYS_STATUS_SENSOR."""
+LAST = 255
+"""Rank of VFR_HUD, behind all sensors of their own."""
+LONGEST_NS = 1_000_000_000
+"""Between two distances of a wheel, of which a speed is made."""
 INVALID = 1
 """Of signal_quality; 0: not known, 100: best."""
 
@@ -71,7 +79,82 @@ class RangeFinder(Reader):
         return out
 
 
-READERS: tuple[type[Reader], ...] = (RangeFinder,)
+class Airspeed(Reader):
+    """Reads AIRSPEED, else VFR_HUD where SYS_STATUS says that there is a sensor.
+
+    VFR_HUD holds the autopilot's own estimate where there is none: made of the fixes, and of
+    sideslip that is assumed. Both are indicated airspeeds, without a stamp of their own.
+    """
+
+    kind = Kind.AIRSPEED
+    message, rate = "AIRSPEED", 10.0
+
+    def forget(self) -> None:
+        """Forget everything after a reboot."""
+        self._sources = Preference()
+        self._ids: list[int] = []
+        self._is_measured = False
+
+    def read(self, frame: Frame) -> Measurements:
+        """Read AIRSPEED; of several sensors the one that the autopilot uses, else the first."""
+        m = unpack(frame)
+        if m.flags & UNHEALTHY:
+            return self._context.refuse("airspeed: its sensor is unhealthy")
+        if m.id not in self._ids:
+            self._ids.append(m.id)
+        return self._sample(0 if m.flags & USING else 1 + self._ids.index(m.id), m.airspeed)
+
+    def vfr_hud(self, frame: Frame) -> Measurements:
+        """Read VFR_HUD."""
+        return self._sample(LAST, unpack(frame).airspeed) if self._is_measured else []
+
+    def sys_status(self, frame: Frame) -> Measurements:
+        """Read from SYS_STATUS whether there is a sensor, which is used and healthy."""
+        m = unpack(frame)
+        self._is_measured = bool(
+            m.onboard_control_sensors_present
+            & m.onboard_control_sensors_enabled
+            & m.onboard_control_sensors_health
+            & DIFFERENTIAL_PRESSURE
+        )
+        return []
+
+    def _sample(self, rank: int, airspeed: float) -> Measurements:
+        t_ns = self._context.clock.latest_ns
+        if t_ns is None or not self._sources.admit(rank, t_ns):
+            return []
+        return [AirspeedSample(t_ns=t_ns, airspeed=airspeed, is_indicated=True)]
+
+
+class Wheel(Reader):
+    """Reads the distances of the wheels: what all of them gain is a speed halfway."""
+
+    kind = Kind.WHEEL
+    message, rate = "WHEEL_DISTANCE", 10.0
+
+    def forget(self) -> None:
+        """Forget everything after a reboot."""
+        self._last: tuple[int, list[float]] | None = None
+
+    def read(self, frame: Frame) -> Measurements:
+        """Read WHEEL_DISTANCE."""
+        m = unpack(frame)
+        out = self._context.follow_us(m.time_usec, self.message)
+        if out is None or not 0 < m.count <= len(m.distance):
+            return out or []
+        now, before = (m.time_usec * 1000, list(m.distance[: m.count])), self._last
+        self._last = now
+        if before is None or len(before[1]) != m.count:
+            return out
+        span_ns = now[0] - before[0]
+        if not 0 < span_ns < LONGEST_NS:
+            return out
+        gained = sum(b - a for a, b in zip(before[1], now[1], strict=True)) / m.count
+        t_ns = before[0] + span_ns // 2
+        return [*out, WheelSample(t_ns=t_ns, speed=gained / (span_ns * 1e-9))]
+
+
+READERS: tuple[type[Reader], ...] = (RangeFinder, Airspeed, Wheel)
 SOURCES = {one.kind: one.message for one in READERS}
 """The message of each, by kind."""
 RATES = {one.message: one.rate for one in READERS}

@@ -46,6 +46,7 @@ class Decoder(DecoderState):
         self.position = Position(self.context, self.heading, self.fixes)
         self._receiver = Receiver(self.context, self.vehicle)
         self._aids = [reader(self.context) for reader in aids.READERS]
+        self._airspeed = next(one for one in self._aids if isinstance(one, aids.Airspeed))
         readers: dict[str, Callable[[Frame], Measurements]] = {
             "HIGHRES_IMU": self.inertial.highres_imu,
             "RAW_IMU": self.inertial.raw_imu,
@@ -57,7 +58,8 @@ class Decoder(DecoderState):
             "GPS2_RAW": self.fixes.gps2_raw,
             "GLOBAL_POSITION_INT": self.position.global_position_int,
             "ATTITUDE": self.heading.attitude,
-            "VFR_HUD": self.heading.vfr_hud,
+            "VFR_HUD": self._vfr_hud,
+            "SYS_STATUS": self._airspeed.sys_status,
             "HEARTBEAT": self.vehicle.heartbeat,
             "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
             "SYSTEM_TIME": self.vehicle.system_time,
@@ -88,6 +90,9 @@ class Decoder(DecoderState):
 
     def _param_value(self, frame: Frame) -> Measurements:
         return [*self.trim.param_value(frame), *self._receiver.param_value(frame)]
+
+    def _vfr_hud(self, frame: Frame) -> Measurements:
+        return [*self.heading.vfr_hud(frame), *self._airspeed.vfr_hud(frame)]
 
     def refuse_ours(self, is_ours: bool, is_yaw_ours: bool) -> None:
         """Refuse the autopilot's own position, or its yaw, while our ODOMETRY is fused in it."""
