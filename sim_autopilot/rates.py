@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from ekf_companion.mavlink.messages import by_name
 from sim_autopilot.config import SimConfig
-from sim_autopilot.personality import DENIED, Pacing, Personality
+from sim_autopilot.personality import DENIED, Kind, Pacing, Personality
 
 ACCEPTED = 0
 GNSS = "GPS_RAW_INT"
@@ -50,7 +50,7 @@ class Streams:
         own = personality.streams
         if own is None:
             own = {name: getattr(config.streams, name) for name in config.streams.__slots__}
-        own = {**dict.fromkeys(_spares(config), 0.0), **own}
+        own = {**_spares(config, personality.kind), **own}
         own = {**own, **dict.fromkeys(also, 0.0)}
         self._default = own
         self._rates = dict(own)
@@ -168,14 +168,21 @@ class Streams:
         return min(1.0, max(_SLOWEST, (budget - constant) / varying))
 
 
-def _spares(config: SimConfig) -> tuple[str, ...]:
-    """Return the messages of sensors that not every vehicle has."""
+def _spares(config: SimConfig, kind: Kind) -> dict[str, float]:
+    """Return the messages of sensors that not every vehicle has, with the rates of unasked ones.
+
+    PX4 has no AIRSPEED: its airspeed is in VFR_HUD, and SYS_STATUS tells of the sensor.
+    """
     spare = config.spare
     compasses = ("SCALED_IMU2", "SCALED_IMU3")[: spare.compasses]
-    return (
+    asked = (
         *compasses,
         *("GPS2_RAW",) * spare.receivers,
         *("DISTANCE_SENSOR",) * config.range_finder.fitted,
-        *("AIRSPEED",) * config.airspeed.fitted,
+        *("AIRSPEED",) * (config.airspeed.fitted and kind is Kind.ARDUPILOT),
         *("WHEEL_DISTANCE",) * config.wheel.fitted,
     )
+    rates = dict.fromkeys(asked, 0.0)
+    if config.airspeed.fitted and kind is Kind.PX4:
+        rates |= {"VFR_HUD": 4.0, "SYS_STATUS": 1.0}
+    return rates

@@ -22,6 +22,8 @@ INERTIAL_AND_TEMPERATURE = 0x3F | 4096
 """Bits of HIGHRES_IMU.fields_updated."""
 POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Of a 6 x 6 covariance sent as its upper right triangle."""
+_SENSORS = 1 | 2 | 4 | 8 | 16 | 32
+"""MAV_SYS_STATUS_SENSOR: gyro, accelerometer, compass, absolute and differential pressure, GPS."""
 GEOID = 47.0
 """Height of the sea level above the ellipsoid that the receiver reports, m."""
 _NO_FIELD, _NO_AIR = (0.0, 0.0, 0.0), (0.0, 0.0)
@@ -131,6 +133,24 @@ def _airspeed(config: SimConfig, cycle: Cycle) -> Fields:
         "temperature": round(config.baro.temperature * 1e2),
         "flags": 2,
     }
+
+
+def _vfr_hud(config: SimConfig, cycle: Cycle) -> Fields:
+    estimate = cycle.estimate
+    north, east, down = estimate.vel_n
+    return {
+        "airspeed": cycle.airspeed or 0.0,
+        "groundspeed": math.hypot(north, east),
+        "heading": round(math.degrees(estimate.euler[2])) % 360,
+        "alt": estimate.alt,
+        "climb": -down,
+    }
+
+
+def _sys_status(config: SimConfig, cycle: Cycle) -> Fields:
+    """Return SYS_STATUS of sensors that are there, used and healthy: the pitot tube among them."""
+    names = ("present", "enabled", "health")
+    return {f"onboard_control_sensors_{name}": _SENSORS for name in names}
 
 
 def _wheel_distance(config: SimConfig, cycle: Cycle) -> Fields:
@@ -266,5 +286,7 @@ BUILDERS: dict[str, Builder] = {
     "DISTANCE_SENSOR": _distance_sensor,
     "AIRSPEED": _airspeed,
     "WHEEL_DISTANCE": _wheel_distance,
+    "VFR_HUD": _vfr_hud,
+    "SYS_STATUS": _sys_status,
 }
 """Messages that depend on a reading alone."""

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ekf_companion.core.memory.aid import DECLARED
+from ekf_companion.core.memory.aid import BY_KIND, DECLARED
 from ekf_companion.core.memory.enums import Azimuth
 from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.health import Aid, Verdict
@@ -82,6 +82,8 @@ class AidWatch:
         sources = sources_of(
             int(x.azimuth), is_autopilots=is_autopilots, ranks=ranks, receiver=int(x.receiver)
         )
+        airspeed = BY_KIND[Kind.AIRSPEED].sensor
+        sources[Aid["AIRSPEED"]] = f"{session.decoder.airspeed_source}, {airspeed}"
         used = {aid: x.count[aid][Verdict.FUSED] + x.count[aid][Verdict.DEWEIGHTED] for aid in Aid}
         refused = {aid: {why: int(x.count[aid][why]) for why in _WHY} for aid in Aid}
         refused[Aid.HEADING][Verdict.DISTURBED] += session.decoder.refused[_NO_FIELD]

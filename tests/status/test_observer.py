@@ -28,6 +28,7 @@ from ekf_companion.status.snapshot import ReloadState
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
+from sim_autopilot.personality import Kind
 from tests.engine.conversation import cycles
 
 BOARD = Host(rss_mb=50.0, temperatures={"cpu": 61.5})
@@ -48,12 +49,12 @@ class Watched:
         self.companion = Companion(config or Config(), warm_start=warm_start)
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
-    def fly(self, duration, name="hover", **options):
+    def fly(self, duration, name="hover", kind=Kind.PX4, **options):
         """Feed what an autopilot says, which hears what we say and answers it."""
         config = SimConfig(**options)
         flight = Flight.plan(name, config, duration=duration)
         flown = flight.scenario
-        autopilot = Autopilot(config, is_wing=flown.is_wing, is_rolling=flown.is_rolling)
+        autopilot = Autopilot(config, kind, is_wing=flown.is_wing, is_rolling=flown.is_rolling)
         for cycle in flight.cycles():
             autopilot.cycle(cycle)
             said = self._turn(cycle.t_ns, b"".join(autopilot.data_to_send()))

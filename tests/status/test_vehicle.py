@@ -8,6 +8,7 @@ import pytest
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.status.judge import to_json
 from sim_autopilot.config import AirspeedConfig, RangeFinderConfig, WheelConfig
+from sim_autopilot.personality import Kind
 from tests.status.test_observer import MS, Watched
 
 AUTOPILOT = Sender(1, 1)
@@ -55,6 +56,9 @@ def test_json_has_what_the_page_reads(flown):
     assert data["preflight"]["reasons"][0].startswith("armed already: ")
 
 
+AIRSPEED, WHEEL = AirspeedConfig(fitted=True), WheelConfig(fitted=True)
+
+
 def test_before_anything_is_heard_nothing_is_known():
     data = json.loads(to_json(Watched().snapshot()))
     assert data["vehicle"]["lat_deg"] is None
@@ -90,19 +94,20 @@ def test_a_range_finder_is_asked_for_and_used():
 
 
 @pytest.mark.parametrize(
-    ("name", "flight", "fitted", "source"),
+    ("name", "kind", "flight", "fitted", "source"),
     [
-        ("airspeed", "loiter", AirspeedConfig(fitted=True), "AIRSPEED, airspeed sensor"),
-        ("wheel", "drive", WheelConfig(fitted=True), "WHEEL_DISTANCE, wheel encoder"),
+        ("airspeed", Kind.PX4, "loiter", AIRSPEED, "VFR_HUD, airspeed sensor"),
+        ("airspeed", Kind.ARDUPILOT, "loiter", AIRSPEED, "AIRSPEED, airspeed sensor"),
+        ("wheel", Kind.ARDUPILOT, "drive", WHEEL, "WHEEL_DISTANCE, wheel encoder"),
     ],
 )
 def test_airspeed_and_wheels_are_asked_for_and_used_by_the_vehicle_that_has_them(
-    name, flight, fitted, source
+    name, kind, flight, fitted, source
 ):
-    watched = Watched().fly(22.0, flight, **{name: fitted})
+    watched = Watched().fly(22.0, flight, kind, **{name: fitted})
     aid = watched.snapshot().vehicle.aids[name]
     assert (aid.source, aid.state) == (source, "used")
-    hovering = Watched().fly(12.0, **{name: fitted}).snapshot().vehicle.aids[name]
+    hovering = Watched().fly(12.0, kind=kind, **{name: fitted}).snapshot().vehicle.aids[name]
     assert hovering.state == "none"
 
 

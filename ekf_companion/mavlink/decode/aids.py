@@ -108,6 +108,11 @@ class Airspeed(Reader):
         """Read VFR_HUD."""
         return self._sample(LAST, unpack(frame).airspeed) if self._is_measured else []
 
+    @property
+    def source(self) -> str:
+        """The message in use."""
+        return "VFR_HUD" if self._sources.rank == LAST else self.message
+
     def sys_status(self, frame: Frame) -> Measurements:
         """Read from SYS_STATUS whether there is a sensor, which is used and healthy."""
         m = unpack(frame)

@@ -130,6 +130,11 @@ class Decoder(DecoderState):
         return SOURCES[self.inertial.sources.rank]
 
     @property
+    def airspeed_source(self) -> str:
+        """The message that airspeeds are taken from."""
+        return self._airspeed.source
+
+    @property
     def ranks(self) -> tuple[int, ...]:
         """Ranks of the sources in use: inertial, magnetometer, barometer, heading."""
         return tuple(reader.sources.rank for reader in self._ranked)
