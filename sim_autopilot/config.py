@@ -172,6 +172,25 @@ class WheelConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FlowConfig:
+    """An optical flow sensor that looks down at the ground of the range finder."""
+
+    fitted: bool = False
+    """Whether there is one: OPTICAL_FLOW_RAD (PX4) or OPTICAL_FLOW (ArduPilot), once it is asked
+    for."""
+    rate: Positive = 10.0
+    """Readings, Hz; each is the mean over the interval before it."""
+    noise: NotNegative = 0.05
+    """One sigma of the white error of a rate, rad/s: a PX4FLOW on a quadrotor, measured."""
+    scale: NotNegative = 0.05
+    """One sigma of the scale, drawn once: of the focal length."""
+    lowest: Positive = 0.3
+    """Height below which it is out of focus and sees nothing, m."""
+    highest: Positive = 40.0
+    """Height above which the ground has no texture any more, m."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateConfig:
     """Errors of the autopilot's own estimate: slow, one sigma."""
 
@@ -235,6 +254,7 @@ class SimConfig:
     range_finder: RangeFinderConfig = field(default_factory=RangeFinderConfig)
     airspeed: AirspeedConfig = field(default_factory=AirspeedConfig)
     wheel: WheelConfig = field(default_factory=WheelConfig)
+    flow: FlowConfig = field(default_factory=FlowConfig)
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     streams: StreamConfig = field(default_factory=StreamConfig)
     parameters: dict[str, float] = field(default_factory=dict)

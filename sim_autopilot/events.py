@@ -27,10 +27,16 @@ def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
     stds = (std_h, std_v, config.noise_vel)
     found = [_readings(flight, Kind.AIRSPEED), _readings(flight, Kind.WHEEL)]
     headings = [table(Kind.HEADING, gnss.t, gnss.yaw, config.noise_yaw)] if config.yaw else []
+    flows = []
+    if (flow := flight.flow) is not None:
+        seen, late = flow.quality > 0.0, 0.5 / flight.config.flow.rate
+        columns = (*flow.flow[seen].T, *flow.gyro[seen].T, flow.quality[seen], np.nan)
+        flows = [table(Kind.FLOW, flow.t[seen] - late, *columns)]
     return merge(
         table(Kind.GNSS, gnss.t, *place, *velocity, *stds, np.nan),
         *headings,
         *(one for one in found if one is not None),
+        *flows,
         table(Kind.MAG, flight.mag.t, *flight.mag.mag_b.T),
         table(Kind.BARO, flight.baro.t, flight.baro.alt),
         table(Kind.IMU, imu.t, *imu.gyro_b.T, *imu.accel_b.T),

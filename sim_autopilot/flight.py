@@ -69,6 +69,19 @@ class Fix(NamedTuple):
     """As in GPS_RAW_INT: 0 is no fix, 3 a fix in three dimensions."""
 
 
+class Flow(NamedTuple):
+    """Means over an interval of an optical flow sensor."""
+
+    t_ns: int
+    """End of the interval, on the autopilot's clock."""
+    rate: tuple[float, float]
+    """Of the ground across the image, rad/s, by OPTICAL_FLOW_RAD's convention."""
+    gyro: tuple[float, float]
+    """Of the sensor, rad/s."""
+    quality: float
+    """From 0 to 1."""
+
+
 class Cycle(NamedTuple):
     """The new samples of one cycle of the autopilot's loop."""
 
@@ -106,6 +119,8 @@ class Cycle(NamedTuple):
     """Indicated, m/s; None: there is no pitot tube."""
     wheel_m: float | None = None
     """Way of the wheels so far, m; None: there are no encoders."""
+    flow: Flow | None = None
+    """None: nothing new."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -134,6 +149,8 @@ class Flight:
     """Way of the wheels so far, m, likewise."""
     estimate_error: Array
     """Of position, velocity, roll, pitch and yaw, shape (n, 9)."""
+    flow: sensors.FlowData | None = None
+    """None: there is no optical flow sensor."""
 
     @classmethod
     def plan(
@@ -183,6 +200,11 @@ class Flight:
         if config.wheel.fitted:
             noise = rng["wheel"].standard_normal(count)
             wheel = sensors.wheel_distances(config.wheel, noise, trajectory.at(t), period)
+        flow = None
+        if config.flow.fitted:
+            flow_t = _every(t, period, config.flow.rate)
+            mounted = config.range_finder.mounted
+            flow = sensors.flow(trajectory, config.flow, mounted, rng["flow"], flow_t)
         e = config.estimate
         sigmas = np.repeat([e.position, e.velocity, e.tilt, e.yaw], [3, 3, 2, 1])
         return cls(
@@ -202,6 +224,7 @@ class Flight:
             airspeed=airspeed,
             wheel=wheel,
             estimate_error=sensors.slow_errors(rng["estimate"], count, sigmas, period, e.time),
+            flow=flow,
         )
 
     def __len__(self) -> int:
@@ -238,6 +261,7 @@ class Flight:
         spare_mag = _arrivals(t, self.mag.t, zip(*columns, strict=True)) if columns else {}
         other = self.spare_gnss
         spare_fixes = {} if other is None else _arrivals(t, other.t, self._fixes(other))
+        flows = {} if self.flow is None else _arrivals(t, self.flow.t, self._flows(self.flow))
         for start in range(0, len(t), _CHUNK):
             part = slice(start, start + _CHUNK)
             truth = self.trajectory.at(t[part])
@@ -281,12 +305,18 @@ class Flight:
                     range_m=far,
                     airspeed=airspeed,
                     wheel_m=wheel_m,
+                    flow=flows.get(number),
                 )
 
     def _fixes(self, data: sensors.GnssData) -> Iterator[Fix]:
         columns = (data.t, data.lat, data.lon, data.alt, data.vel_n, data.yaw)
         for t, lat, lon, alt, vel_n, yaw in zip(*(c.tolist() for c in columns), strict=True):
             yield Fix(self.to_ns(t), lat, lon, alt, tuple(vel_n), yaw)
+
+    def _flows(self, data: sensors.FlowData) -> Iterator[Flow]:
+        columns = (data.t, data.flow, data.gyro, data.quality)
+        for t, rate, gyro, quality in zip(*(c.tolist() for c in columns), strict=True):
+            yield Flow(self.to_ns(t), tuple(rate), tuple(gyro), quality)
 
     def _ranges(self, truth: Truth, part: slice) -> list[float] | list[None]:
         if not len(self.range_white):

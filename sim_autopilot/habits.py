@@ -12,7 +12,7 @@ import numpy as np
 from ekf_companion.nav import so3
 from sim_autopilot import telemetry
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Cycle, Fix, Motion, Vector
+from sim_autopilot.flight import Cycle, Fix, Flow, Motion, Vector
 from sim_autopilot.personality import Personality
 from sim_autopilot.sensors import earth_field
 from sim_autopilot.telemetry import (
@@ -32,6 +32,10 @@ _BIAS_NOISE = (3e-5, 5e-3)
 """One sigma of such a step, rad/s and m/s^2: assumed."""
 _METRES_PER_RADIAN = 6371e3
 _SPARE_COMPASSES = ("SCALED_IMU2", "SCALED_IMU3")
+_FLOW = {
+    "OPTICAL_FLOW_RAD": telemetry.optical_flow_rad,
+    "OPTICAL_FLOW": telemetry.optical_flow,
+}
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU", *_SPARE_COMPASSES)
 
 
@@ -52,6 +56,7 @@ class FirmwareSensors:
         self._mag_b: Vector | None = None
         self._spare_mag_b: tuple[Vector, ...] = ()
         self._spare_fix: Fix | None = None
+        self._flow: Flow | None = None
         self._baro: tuple[float, float] | None = None
         self._ground_pressure: float | None = None
         self._updated = INERTIAL_AND_TEMPERATURE
@@ -97,6 +102,9 @@ class FirmwareSensors:
         if name == "GPS2_RAW":
             fix = self._spare_fix
             return None if fix is None else telemetry.gps2_raw(self._config, fix)
+        if name in _FLOW:
+            flow = self._flow
+            return None if flow is None else _FLOW[name](self._config, flow)
         # The latest magnetometer and barometer samples, new or not
         mag_b, spares = self._mag_b, self._spare_mag_b
         if name in _SPARE_COMPASSES and spares:
@@ -165,6 +173,7 @@ class FirmwareSensors:
             if self._ground_pressure is None:
                 self._ground_pressure = cycle.baro[0]
         self._spare_fix = cycle.spare_fix or self._spare_fix
+        self._flow = cycle.flow or self._flow
         if self._fix_ns is None:
             self._fix_ns = cycle.flight_ns
         if cycle.fix is not None:

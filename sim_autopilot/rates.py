@@ -181,6 +181,7 @@ def _spares(config: SimConfig, kind: Kind) -> dict[str, float]:
         *("DISTANCE_SENSOR",) * config.range_finder.fitted,
         *("AIRSPEED",) * (config.airspeed.fitted and kind is Kind.ARDUPILOT),
         *("WHEEL_DISTANCE",) * config.wheel.fitted,
+        *("OPTICAL_FLOW" if kind is Kind.ARDUPILOT else "OPTICAL_FLOW_RAD",) * config.flow.fitted,
     )
     rates = dict.fromkeys(asked, 0.0)
     if config.airspeed.fitted and kind is Kind.PX4:

@@ -20,6 +20,7 @@ from sim_autopilot.config import (
     AirspeedConfig,
     BaroConfig,
     CompassConfig,
+    FlowConfig,
     GnssConfig,
     ImuConfig,
     RangeFinderConfig,
@@ -110,6 +111,7 @@ def generators(seed: int) -> dict[str, np.random.Generator]:
         "range",
         "airspeed",
         "wheel",
+        "flow",
     )
     sequences = np.random.SeedSequence(seed).spawn(len(names))
     return dict(zip(names, map(np.random.default_rng, sequences), strict=True))
@@ -235,6 +237,55 @@ def wheel_distances(config: WheelConfig, white: Array, truth: Truth, period: flo
     ahead = so3.to_matrix(truth.q_nb)[:, :, 0]
     speed = np.sum(ahead * truth.vel_n, axis=1)
     return np.asarray(config.scale * np.cumsum(speed) * period + config.noise * white)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FlowData:
+    """Means over the intervals that end at ``t``, by the axes of the body."""
+
+    t: Array
+    flow: Array
+    """Rates of the ground across the image, rad/s, shape (n, 2)."""
+    gyro: Array
+    """Rates of the sensor, rad/s, shape (n, 2)."""
+    quality: Array
+    """From 0 to 1."""
+
+
+def flow(
+    trajectory: Trajectory,
+    config: FlowConfig,
+    mounted: float,
+    rng: np.random.Generator,
+    t: Array,
+) -> FlowData:
+    """Draw what an optical flow sensor says at ``t``, over level ground at home's height.
+
+    ``mounted`` is its height above the ground while the vehicle stands, m. Where it cannot see, it
+    says noise of quality 0.
+    """
+    scale = 1.0 + config.scale * rng.standard_normal()
+    noise = config.noise * rng.standard_normal((len(t), 2))
+    white = rng.standard_normal((len(t), 2))
+    nodes, weights = np.polynomial.legendre.leggauss(GAUSS_LEGENDRE)
+    seen, gyro = np.zeros((len(t), 2)), np.zeros((len(t), 2))
+    for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+        truth = trajectory.at(t + 0.5 * (node - 1.0) / config.rate)
+        vel_b = so3.rotate(so3.conjugate(truth.q_nb), truth.vel_n)
+        upright = np.maximum(1.0 - 2.0 * (truth.q_nb[:, 1] ** 2 + truth.q_nb[:, 2] ** 2), 1e-3)
+        distance = np.maximum(trajectory_height(trajectory, truth.alt) + mounted, 0.01) / upright
+        across = np.stack([-vel_b[:, 1], vel_b[:, 0]], axis=1) / distance[:, None]
+        seen += 0.5 * weight * (scale * across + truth.rate_nb_b[:, :2])
+        gyro += 0.5 * weight * truth.rate_nb_b[:, :2]
+    height = trajectory_height(trajectory, trajectory.at(t).alt) + mounted
+    is_seen = (height > config.lowest) & (height < config.highest)
+    found = np.where(is_seen[:, None], seen + noise, white)
+    return FlowData(t=t, flow=found, gyro=gyro, quality=np.where(is_seen, 0.9, 0.0))
+
+
+def trajectory_height(trajectory: Trajectory, alt: Array) -> Array:
+    """Return the height above home of an altitude, m."""
+    return np.asarray(alt - trajectory.frame.alt)
 
 
 def pressure(alt: Value) -> Value:

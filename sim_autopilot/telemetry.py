@@ -11,7 +11,7 @@ import numpy as np
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Cycle, Fix
+from sim_autopilot.flight import Cycle, Fix, Flow
 
 Fields = dict[str, Any]
 Builder = Callable[[SimConfig, Cycle], Fields]
@@ -156,6 +156,39 @@ def _sys_status(config: SimConfig, cycle: Cycle) -> Fields:
 def _wheel_distance(config: SimConfig, cycle: Cycle) -> Fields:
     way = cycle.wheel_m or 0.0
     return {"time_usec": cycle.t_ns // 1000, "count": 2, "distance": [way] * 2 + [0.0] * 14}
+
+
+def optical_flow_rad(config: SimConfig, flow: Flow) -> Fields:
+    """Return OPTICAL_FLOW_RAD: integrals over the interval (PX4)."""
+    interval = 1.0 / config.flow.rate
+    x, y = (rate * interval for rate in flow.rate)
+    gyro_x, gyro_y = (rate * interval for rate in flow.gyro)
+    return {
+        "time_usec": flow.t_ns // 1000,
+        "integration_time_us": round(interval * 1e6),
+        "integrated_x": x,
+        "integrated_y": y,
+        "integrated_xgyro": gyro_x,
+        "integrated_ygyro": gyro_y,
+        "integrated_zgyro": math.nan,
+        "distance": -1.0,
+        "quality": round(flow.quality * 255.0),
+    }
+
+
+def optical_flow(config: SimConfig, flow: Flow) -> Fields:
+    """Return OPTICAL_FLOW as ArduPilot fills it: whole rates, ms, the flow less the gyro."""
+    (x, y), (gyro_x, gyro_y) = flow.rate, flow.gyro
+    return {
+        "time_usec": flow.t_ns // 1_000_000,
+        "flow_x": int(x),
+        "flow_y": int(y),
+        "flow_comp_m_x": x - gyro_x,
+        "flow_comp_m_y": y - gyro_y,
+        "quality": round(flow.quality * 255.0),
+        "flow_rate_x": x,
+        "flow_rate_y": y,
+    }
 
 
 def _odometry(config: SimConfig, cycle: Cycle) -> Fields:

@@ -21,6 +21,7 @@ import cython
 import numpy as np
 from cython import address
 from cython.cimports.ekf_companion.core.filter import tape
+from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.filter.update import difference, inject, rebase
 from cython.cimports.ekf_companion.core.memory.bank import BANK
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -120,7 +121,7 @@ class Smoother:
 
         Args:
             block: The filter's state before them, shape (BLOCK,).
-            rows: As for :meth:`advance`; a tape for so many is kept, about 20 kB a row.
+            rows: As for :meth:`advance`; a tape for so many is kept, RECORD numbers a row.
             later: The smoothed state after them, shape (BLOCK,); None: nothing comes later.
 
         Returns:
@@ -214,123 +215,126 @@ def copy_covariance(source: Square, to: Square) -> None:
 def undo(before: TapeRecord, after: TapeRecord, y: State, o: Observation, h: Hindsight) -> None:
     """Bring y from after what a record tells of to before it."""
     x = address(before.state)
+    n = carried(x)
+    n = carried(address(after.state)) if carried(address(after.state)) > n else n
+    n = carried(y) if carried(y) > n else n
     # The covariance that the filter had there, and its product with the state before: Phi P
     if after.link == LINK_MOVED:
-        multiply_transition(x, after, h)
+        multiply_transition(x, after, h, n)
         difference(address(after.state), y, o)
     else:
-        multiply_redrawn(x, address(after.state), h)
+        multiply_redrawn(x, address(after.state), h, n)
         difference(x, y, o)
 
     # What is known later, as an error of what the filter had there, and its covariance less P-
     rebase(y, o)
-    for i in range(N):
-        for j in range(N):
+    for i in range(n):
+        for j in range(n):
             h.change[i][j] = y.P[i][j] - h.prior[i][j]
 
     # G' = (P-)^-1 Phi P; then the error before, and its covariance
-    factor(h.prior)
-    solve(h.prior, h.gain)
-    apply_gain(x, y, o, h)
+    factor(h.prior, n)
+    solve(h.prior, h.gain, n)
+    apply_gain(x, y, o, h, n)
 
 
-def multiply_transition(x: State, after: TapeRecord, h: Hindsight) -> None:
+def multiply_transition(x: State, after: TapeRecord, h: Hindsight, n: int) -> None:
     """Write the covariance after an interval, and Phi times that before it."""
-    for i in range(N):
-        for j in range(N):
+    for i in range(n):
+        for j in range(n):
             h.prior[i][j] = after.state.P[i][j]
             h.gain[i][j] = 0.0
-        for m in range(N):
+        for m in range(n):
             s = after.Phi[i][m]
             if s != 0.0:
-                for j in range(N):
+                for j in range(n):
                     h.gain[i][j] += s * x.P[m][j]
 
 
-def multiply_redrawn(x: State, after: State, h: Hindsight) -> None:
+def multiply_redrawn(x: State, after: State, h: Hindsight, n: int) -> None:
     """Do the same where some states were drawn anew: what follows says nothing of those.
 
     Their rows of Phi are zero and, since they tell nothing, their variance may be any. Of what was
     measured in the same event before the drawing, the states that stayed keep all, those drawn
     anew what the others know of it.
     """
-    for i in range(N):
-        for j in range(N):
+    for i in range(n):
+        for j in range(n):
             h.gain[i][j] = x.P[i][j]
             h.prior[i][j] = x.P[i][j]
-    for i in range(N):
+    for i in range(n):
         if after.redrawn[i] != x.redrawn[i]:
-            for j in range(N):
+            for j in range(n):
                 h.gain[i][j] = 0.0
                 h.prior[i][j] = 0.0
                 h.prior[j][i] = 0.0
             h.prior[i][i] = 1.0
 
 
-def factor(a: Square) -> None:
+def factor(a: Square, n: int) -> None:
     """Replace the upper triangle of a covariance by U with U' U = it.
 
     A state that is known, or known by those before it, gets a row of zeros: it is left out.
     """
     # the lower triangle is free: its first column, and the corner, remember the variances
-    for i in range(1, N):
+    for i in range(1, n):
         a[i][0] = a[i][i]
     least = KNOWN * a[0][0]
-    for i in range(N):
+    for i in range(n):
         if i > 0:
             least = KNOWN * a[i][0]
         s = 1.0 / sqrt(a[i][i]) if a[i][i] > least else 0.0
-        for j in range(i, N):
+        for j in range(i, n):
             a[i][j] *= s
-        for m in range(i + 1, N):
+        for m in range(i + 1, n):
             s = a[i][m]
-            for j in range(m, N):
+            for j in range(m, n):
                 a[m][j] -= s * a[i][j]
 
 
-def solve(root: Square, g: Square) -> None:
+def solve(root: Square, g: Square, n: int) -> None:
     """Solve U' U X = g in place; what :func:`factor` left out stays zero."""
-    for i in range(N):
+    for i in range(n):
         s = 1.0 / root[i][i] if root[i][i] > 0.0 else 0.0
-        for j in range(N):
+        for j in range(n):
             g[i][j] *= s
-        for m in range(i + 1, N):
+        for m in range(i + 1, n):
             s = root[i][m]
-            for j in range(N):
+            for j in range(n):
                 g[m][j] -= s * g[i][j]
-    for i in range(N - 1, -1, -1):
-        for m in range(i + 1, N):
+    for i in range(n - 1, -1, -1):
+        for m in range(i + 1, n):
             s = root[i][m]
-            for j in range(N):
+            for j in range(n):
                 g[i][j] -= s * g[m][j]
         s = 1.0 / root[i][i] if root[i][i] > 0.0 else 0.0
-        for j in range(N):
+        for j in range(n):
             g[i][j] *= s
 
 
-def apply_gain(x: State, y: State, o: Observation, h: Hindsight) -> None:
+def apply_gain(x: State, y: State, o: Observation, h: Hindsight, n: int) -> None:
     """Make y the state before, x, moved by G dx; its P is P + G change G'. Reads G'."""
     copy_state(y, x)
     for i in range(N):
         o.gain[i] = o.dx[i]
         o.dx[i] = 0.0
-    for m in range(N):
+    for m in range(n):
         s = o.gain[m]
-        for i in range(N):
+        for i in range(n):
             o.dx[i] += h.gain[m][i] * s
-    for i in range(N):
-        for j in range(N):
+    for i in range(n):
+        for j in range(n):
             h.half[i][j] = 0.0
-        for m in range(N):
+        for m in range(n):
             s = h.change[i][m]
-            for j in range(N):
+            for j in range(n):
                 h.half[i][j] += s * h.gain[m][j]
-    for m in range(N):
-        for i in range(N):
+    for m in range(n):
+        for i in range(n):
             s = h.gain[m][i]
-            for j in range(i, N):
+            for j in range(i, n):
                 y.P[i][j] += s * h.half[m][j]
-    for i in range(N):
+    for i in range(n):
         if y.P[i][i] < 0.0:
             y.P[i][i] = 0.0
         for j in range(i):

@@ -51,7 +51,9 @@ from ekf_companion.nav.arrays import Array
 from ekf_companion.version import __version__
 
 MAGIC = b"\x89EKFCKPT"
-FORMAT = 3
+FAST = 1
+"""Level of the compression: a state is mostly zeros, and is written once a second."""
+FORMAT = 4
 LIMIT = CheckpointConfig().limit
 """Age beyond which a checkpoint is stale unless told otherwise, s."""
 DISAGREEMENT_NS = 2_000_000_000
@@ -210,9 +212,10 @@ def encode(checkpoint: Checkpoint) -> bytes:
         len(state.block),
         len(state.waiting),
     )
-    body += state.block.astype("<f8").tobytes() + state.waiting.astype("<f8").tobytes()
+    content = state.block.astype("<f8").tobytes() + state.waiting.astype("<f8").tobytes()
     if len(state.bank):
-        body += BANK_LAYOUT + state.bank.astype("<f8").tobytes()
+        content += BANK_LAYOUT + state.bank.astype("<f8").tobytes()
+    body += zlib.compress(content, FAST)
     return body + zlib.crc32(body).to_bytes(4, "little")
 
 
@@ -251,11 +254,15 @@ def decode(data: bytes) -> Checkpoint | Refusal:
             "the next one takes its place",
             remains=remains,
         )
-    end = _HEADER.size + 8 * (size + count * ROW)
-    more = len(data) - 4 - end
+    end = 8 * (size + count * ROW)
+    try:
+        whole = zlib.decompress(data[_HEADER.size : -4])
+    except zlib.error:
+        whole = b""
+    more = len(whole) - end
     if size != BLOCK or more < 0 or more % 8:
         return Refusal(Why.DAMAGED, "its size does not fit its content")
-    content = np.frombuffer(data[_HEADER.size : end], dtype="<f8").astype(np.float64)
+    content = np.frombuffer(whole[:end], dtype="<f8").astype(np.float64)
     state = State(
         epoch_ns=epoch_ns,
         stamp_ns=stamp_ns,
@@ -263,7 +270,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         waiting=content[size:].reshape(count, ROW),
         settings=settings,
         sent_before=before,
-        bank=_bank(data[end:-4]),
+        bank=_bank(whole[end:]),
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")

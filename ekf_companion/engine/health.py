@@ -103,6 +103,8 @@ class Health:
     hypotheses do not decide, or there is no position."""
     protection_vertical: float = math.nan
     """The same of the height, m."""
+    oddities: tuple[str, ...] = ()
+    """Slow errors of aids that no good sensor has, a sentence each."""
 
     @property
     def is_receiver_refused(self) -> bool:

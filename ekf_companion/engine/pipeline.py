@@ -14,6 +14,7 @@ from ekf_companion.core.memory.scratch import OUT
 from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.memory.state import State as FilterState
 from ekf_companion.core.order.timeline import COMPILED_BLOCK, Timeline
+from ekf_companion.core.settings.anchors import Anchors
 from ekf_companion.core.settings.field import Field
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
 from ekf_companion.core.settings.settings import FilterSettings
@@ -28,6 +29,7 @@ from ekf_companion.engine.health import (
     Verdict,
 )
 from ekf_companion.engine.reasons import in_words
+from ekf_companion.engine.slow_errors import oddities, slow_errors
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
 from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Reason, Status, Table
@@ -35,6 +37,7 @@ from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Reason, Status, Tab
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
 _OF_FIELD, _ESTIMATED = {int(Kind.GNSS), int(Kind.MAG)}, int(Arrival.ESTIMATED)
+_ANCHOR = int(Kind.ANCHOR)
 """Faster to compare than enums."""
 
 if COMPILED_BLOCK != BLOCK:
@@ -60,7 +63,7 @@ class Pipeline:
             gnss_delay: Delay that the log itself declares, s; beats ``auto``.
             keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
-        self._field = Field(settings.heading)
+        self._field, self._anchors = Field(settings.heading), Anchors(settings.anchor_range)
         self.family = family
         """``px4``, ``ardupilot`` or ``unknown``."""
         self._gnss_delay = gnss_delay
@@ -88,6 +91,8 @@ class Pipeline:
         """Process a measurement that is given as a row, as :meth:`process` does."""
         # Add the magnetic field of its place to a fix, remove the vehicle's own from a magnetometer
         t_ns, kind, values = self._field.complete(row) if row[1] in _OF_FIELD else row
+        if kind == _ANCHOR:
+            t_ns, kind, values = self._anchors.complete(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
         self._arrival = self._timeline.insert(t_ns, kind, values)
@@ -99,6 +104,7 @@ class Pipeline:
         stamps = np.zeros(samples, dtype=np.int64)
         out = np.empty((samples, OUT))
         values = self._field.complete_all(events)
+        self._anchors.complete_all(events, values)
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
 
@@ -264,6 +270,7 @@ class Pipeline:
             protection_vertical=levels[1],
             receiver=int(x.receiver),
             compass=int(x.compass),
+            oddities=tuple(oddities(slow_errors(x))),
         )
 
     @property

@@ -7,11 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ekf_companion.nav.arrays import Array, Mask
+from ekf_companion.nav.arrays import Array, Mask, Stamps
+from ekf_companion.nav.held_reading import held
 from ekf_companion.nav.measurements import Kind
 
 DOWN = 25
 """ROTATION_PITCH_270 (ArduPilot), ROTATION_DOWNWARD_FACING (PX4)."""
+BEST = 255
+"""Largest quality of optical flow; 0: nothing is seen."""
 GOOD = 4
 """RFND.Stat: RangeFinder::Status::Good."""
 LAST_SENSOR = 3
@@ -32,6 +35,8 @@ class Columns(NamedTuple):
     """Columns without which it is not used."""
     read: Callable[[Table], tuple[Mask, tuple[Array, ...]]]
     """Returns which rows are measurements, and the columns of the events."""
+    late: Callable[[Table], Array] | None = None
+    """Returns how long before its stamp each was true, s; None: at its stamp."""
 
 
 class Logged(NamedTuple):
@@ -39,7 +44,8 @@ class Logged(NamedTuple):
 
     csv: dict[str, str]
     """The unit of each quantity, in the order of the row; the first is the measurement."""
-    dataflash: Columns
+    dataflash: tuple[Columns, ...]
+    """Each counts."""
     ulog: tuple[Columns, ...]
     """The first that holds a measurement counts."""
 
@@ -139,15 +145,101 @@ def _wenc(table: Table) -> tuple[Mask, tuple[Array, ...]]:
     return good, (speed, np.full(len(speed), np.nan))
 
 
+def _of(table: Table) -> tuple[Mask, tuple[Array, ...]]:
+    """Return the flow of OF, whose quality of 0 is that of nothing seen.
+
+    Source: ArduPilot, ``AP_OpticalFlow::Log_Write_Optflow``.
+    """
+    columns = [np.asarray(table[name], dtype=float) for name in _OF[1:]]
+    t_ns = next(
+        np.asarray(table[name]).astype(np.int64) * unit
+        for name, unit in (("TimeUS", 1000), ("TimeMS", 1_000_000))
+        if name in table
+    )
+    return _flow(t_ns, np.asarray(table["Qual"]), *columns)
+
+
+def _optical_flow(topic: Table, flow: str, gyro: str, span: str) -> tuple[Mask, tuple[Array, ...]]:
+    """Return the flow that a topic holds as integrals over an interval."""
+    seconds = np.asarray(topic[span], dtype=float) * 1e-6
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = [
+            np.asarray(topic[name.format(axis=axis, number=number)], dtype=float) / seconds
+            for name in (flow, gyro)
+            for number, axis in enumerate("xy")
+        ]
+    us = topic["timestamp"] if "timestamp" in topic else topic["t_ns"] // 1000
+    t_ns = np.asarray(us).astype(np.int64) * 1000
+    return _flow(t_ns, np.asarray(topic["quality"]), *columns)
+
+
+def _flow(
+    t_ns: Stamps, quality: Array, x: Array, y: Array, gyro_x: Array, gyro_y: Array
+) -> tuple[Mask, tuple[Array, ...]]:
+    good = (quality > 0) & np.isfinite(x) & np.isfinite(y) & ~held(t_ns, x, y)
+    unknown = ~(np.isfinite(gyro_x) & np.isfinite(gyro_y))
+    gyro = (np.where(unknown, np.nan, one) for one in (gyro_x, gyro_y))
+    return good, (x, y, *gyro, quality / BEST, np.full(len(x), np.nan))
+
+
+def _topic(name: str, flow: str, gyro: str, span: str) -> Columns:
+    """Return where the flow stands in a topic: names of its fields by axis and its number."""
+    fields = [
+        one.format(axis=axis, number=n) for one in (flow, gyro) for n, axis in enumerate("xy")
+    ]
+
+    def half(topic: Table) -> Array:
+        return np.asarray(topic[span], dtype=float) * 0.5e-6
+
+    def read(topic: Table) -> tuple[Mask, tuple[Array, ...]]:
+        return _optical_flow(topic, flow, gyro, span)
+
+    return Columns(name, (*fields, span, "quality"), read, half)
+
+
+def _beacon(number: int) -> Columns:
+    """Return where the range to a beacon stands in BCN; the log has the places of none.
+
+    Source: ArduPilot, ``AP_Beacon/LogStructure.h``: 0 is no range.
+    """
+    name = f"D{number}"
+
+    def read(table: Table) -> tuple[Mask, tuple[Array, ...]]:
+        found = np.asarray(table[name], dtype=float)
+        count, health = np.asarray(table["Cnt"]), np.asarray(table["Health"])
+        unknown = np.full(len(found), np.nan)
+        good = (found > 0.0) & (count > number) & (health > 0)
+        return good, (found, np.full(len(found), float(number)), *(unknown,) * 5)
+
+    return Columns("BCN", ("Health", "Cnt", *(f"D{n}" for n in range(4))), read)
+
+
+_OF = ("Qual", "flowX", "flowY", "bodyX", "bodyY")
+_FLOW_TOPICS = (
+    _topic(
+        "vehicle_optical_flow",
+        "pixel_flow[{number}]",
+        "delta_angle[{number}]",
+        "integration_timespan_us",
+    ),
+    _topic(
+        "optical_flow",
+        "pixel_flow_{axis}_integral",
+        "gyro_{axis}_rate_integral",
+        "integration_timespan",
+    ),
+)
+"""PX4, ``VehicleOpticalFlow.msg``, before 1.14 ``optical_flow.msg``: by the axes of the body."""
+
 LOGGED = {
     Kind.RANGE: Logged(
         {"range": "m", "range_std": "m"},
-        Columns("RFND", (), _rfnd),
+        (Columns("RFND", (), _rfnd),),
         (Columns("distance_sensor", _FIELDS, _distance_sensor),),
     ),
     Kind.AIRSPEED: Logged(
         {"airspeed": "m/s", "airspeed_std": "m/s"},
-        Columns("ARSP", ("Airspeed",), _arsp),
+        (Columns("ARSP", ("Airspeed",), _arsp),),
         (
             Columns("airspeed_validated", ("true_airspeed_m_s",), _airspeed_validated),
             Columns("airspeed", ("true_airspeed_m_s",), _airspeed),
@@ -155,14 +247,39 @@ LOGGED = {
     ),
     Kind.WHEEL: Logged(
         {"wheel_speed": "m/s", "wheel_speed_std": "m/s"},
-        Columns("WENC", ("Dist0", "Dist1"), _wenc),
+        (Columns("WENC", ("Dist0", "Dist1"), _wenc),),
+        (),
+    ),
+    Kind.FLOW: Logged(
+        {
+            "flow_x": "rad/s",
+            "flow_y": "rad/s",
+            "flow_gyro_x": "rad/s",
+            "flow_gyro_y": "rad/s",
+            "flow_quality": "1",
+            "flow_std": "rad/s",
+        },
+        (Columns("OF", _OF, _of),),
+        _FLOW_TOPICS,
+    ),
+    Kind.ANCHOR: Logged(
+        {
+            "anchor_range": "m",
+            "anchor": "1",
+            "anchor_north": "m",
+            "anchor_east": "m",
+            "anchor_down": "m",
+            "anchor_is_geodetic": "1",
+            "anchor_std": "m",
+        },
+        tuple(_beacon(number) for number in range(4)),
         (),
     ),
 }
 """By kind."""
-DATAFLASH = {one.dataflash.name: (kind, one.dataflash) for kind, one in LOGGED.items()}
-"""By message."""
-ULOG = {aid.name: (kind, aid) for kind, one in LOGGED.items() for aid in one.ulog}
-"""By topic."""
+DATAFLASH = tuple((kind, columns) for kind, one in LOGGED.items() for columns in one.dataflash)
+"""Where each stands, by kind."""
+ULOG = {topic.name: (kind, topic) for kind, one in LOGGED.items() for topic in one.ulog}
+"""By topic; of those of a kind the first that holds a measurement counts."""
 CSV = {kind: one.csv for kind, one in LOGGED.items()}
 """The unit of each quantity, by kind."""

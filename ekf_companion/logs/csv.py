@@ -8,6 +8,11 @@ Native files declare them in the header. A column is a quantity and its unit::
     mag_x_gauss | mag_x_uT | mag_x_mG  (and y, z)
     baro_alt_m | baro_press_hPa | baro_press_Pa
     range_m, range_std_m                            to the ground, along the body's down axis
+    flow_x_rps, flow_y_rps                          of a camera that looks down: by the sensor's
+    flow_gyro_x_rps, flow_gyro_y_rps                axes, as OPTICAL_FLOW_RAD has it; its own gyro
+    flow_quality, flow_std_rps                      0 nothing seen, 1 best
+    anchor_range_m, anchor, anchor_std_m            its number in the configuration; or where it
+    anchor_north_m, anchor_east_m, anchor_down_m    is, about the origin
     gps_lat_deg, gps_lon_deg, gps_alt_m             altitude above mean sea level
     gps_vn_mps, gps_ve_mps, gps_vd_mps              or gps_speed_mps | gps_speed_kmph
                                                     with gps_course_deg

@@ -23,12 +23,20 @@ _UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "pressure": {"Pa": 1.0, "hPa": 100.0},
     "angle": {"rad": 1.0, "deg": DEGREE},
+    "number": {"": 1.0, "1": 1.0},
     "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "cm/s": 1e-2, "kn": 1852.0 / 3600.0},
 }
 """Units by dimension, and their size in SI and radians."""
 _SUFFIXES = {"rps": "rad/s", "dps": "deg/s", "mps2": "m/s2", "mps": "m/s", "kmph": "km/h"}
 """Spelling in header names of units with a slash; other units are spelt as they are."""
-_BY_UNIT = {"m": "length", "m/s": "speed", "rad": "angle", "rad/s": "gyro", "Pa": "pressure"}
+_BY_UNIT = {
+    "m": "length",
+    "m/s": "speed",
+    "rad": "angle",
+    "rad/s": "gyro",
+    "Pa": "pressure",
+    "1": "number",
+}
 """Dimension of what an aid declares."""
 QUANTITIES = {
     "time": "time",

@@ -93,10 +93,16 @@ class EventMaker:
         self._last = t_ns[-1:], row[-1:], {name: column[-1:] for name, column in values.items()}
         found: Arrivals = []
         for kind, names in aids.CSV.items():
-            part = _part(t_ns, is_new, values, next(iter(names)), self._constant)
+            part = _part(t_ns, is_new, values, names, self._constant)
             found += self._aid(kind, [*names], part)
         gnss, heading, mag, baro, imu = (
-            _part(t_ns, is_new, values, begin, self._constant)
+            _part(
+                t_ns,
+                is_new,
+                values,
+                [one for one in values if one.startswith(begin)],
+                self._constant,
+            )
             for begin in ("gps_", "heading", "mag_", "baro_", "")
         )
         found += [*self._gnss(gnss), *self._heading(heading), *self._sensor("mag", Kind.MAG, mag)]
@@ -191,10 +197,14 @@ class _Part(NamedTuple):
 
 
 def _part(
-    t_ns: Stamps, is_new: Mask, values: Columns, begin: str, constant: Collection[str]
+    t_ns: Stamps,
+    is_new: Mask,
+    values: Columns,
+    names: Collection[str],
+    constant: Collection[str],
 ) -> _Part:
-    """Take the quantities whose names begin with a prefix out of the table."""
-    chosen = {name: values.pop(name) for name in [*values] if name.startswith(begin)}
+    """Take some quantities out of the table."""
+    chosen = {name: values.pop(name) for name in [*values] if name in names}
     any_known = np.zeros(len(t_ns), dtype=bool)
     for name in chosen.keys() - constant:
         any_known |= np.isfinite(chosen[name])

@@ -124,8 +124,8 @@ def read(path: Path) -> Recording:
         )
     else:
         sources += streamed("BARO", lambda rows: _sensor(rows, "BARO", Kind.BARO))
-    for name, (kind, aid) in aids.DATAFLASH.items():
-        sources += sources_of(_aid(tables, name, kind, aid))
+    for kind, aid in aids.DATAFLASH:
+        sources += sources_of(_aid(tables, kind, aid))
     events = MergedEvents(sources)
     if not len(events) and is_cut:
         raise cut_short(path, path.stat().st_size)
@@ -197,9 +197,9 @@ def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
     return [(EventColumns(t_ns, kind, *columns), table[OFFSET])]
 
 
-def _aid(tables: Columns, name: str, kind: Kind, aid: aids.Columns) -> Arrivals:
+def _aid(tables: Columns, kind: Kind, aid: aids.Columns) -> Arrivals:
     """Return the events of an aid that declares itself."""
-    if (rows := rows_of(tables, name)) is None:
+    if (rows := rows_of(tables, aid.name)) is None:
         return []
     table, t_ns = rows
     valid, columns = aid.read({one: table[one] for one in names_of(table)})

@@ -49,7 +49,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     dataflash_old.TUNING: (),
     "PARM": ("Value",),
     "MSG": (),
-    **{name: one.needed for name, (_, one) in aids.DATAFLASH.items()},
+    **{one.name: one.needed for _, one in aids.DATAFLASH},
     **{name: columns[-1:] for name, columns in dataflash_instances.ASKED.items()},
 }
 for _first, *_more in (one.messages for one in dataflash_sensors.FAMILIES.values()):

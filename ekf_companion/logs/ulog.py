@@ -135,12 +135,13 @@ def read(path: Path) -> Recording:
         sources += sources_of(_barometer(fused))
     else:
         sources += streamed("vehicle_air_data", _barometer)
-    seen: set[Kind] = set()
+    found: set[Kind] = set()
     for name, (kind, aid) in aids.ULOG.items():
-        if (topic := topics.get(name)) is not None and kind not in seen:
+        if (topic := topics.get(name)) is not None and kind not in found:
             valid, columns = aid.read(topic)
-            sources += sources_of(_events(topic, kind, valid, *columns))
-            seen |= {kind} if valid.any() else set()
+            late = 0.0 if aid.late is None else aid.late(topic)
+            sources += sources_of(_events(topic, kind, valid, *columns, late=late))
+            found |= {kind} if valid.any() else set()
     sources += sources_of([*_vehicle(topics), *_gnss(topics, notes)])
     events = MergedEvents(sources)
     if not len(events) and not log.subscriptions:
@@ -224,11 +225,17 @@ def _utc_zero_ns(topics: Topics, notes: list[str]) -> int | None:
     return receiver_time.utc_zero_ns(utc_ns, topic["t_ns"], is_fix, earliest, notes)
 
 
-def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
-    """Build events stamped by the topic's sample time, or where absent its publication."""
+def _events(
+    topic: Topic, kind: Kind, mask: Mask, *columns: Any, late: Array | float = 0.0
+) -> Arrivals:
+    """Build events stamped by the topic's sample time, or where absent its publication.
+
+    They were true ``late`` seconds before.
+    """
     if not mask.any():
         return []
-    events = EventColumns(sample_ns(topic), kind, *columns)
+    t_ns = sample_ns(topic) - np.rint(np.asarray(late) * 1e9).astype(np.int64)
+    events = EventColumns(t_ns, kind, *columns)
     return [(events.take(mask), topic["t_ns"] if mask.all() else topic["t_ns"][mask])]
 
 

@@ -37,6 +37,8 @@ _SAMPLE_SIZE = 32
 """Bytes of its stamp, accelerations and rates: what else it holds depends on the link."""
 _NAMES = {"time_usec": 1, "time_boot_ms": 1000}
 """Stamps by the autopilot's clock, and their unit, us."""
+_MILLISECONDS = IDS["OPTICAL_FLOW"]
+"""ArduPilot, from whom alone it is read, fills its time_usec with ms."""
 
 
 _READ = (
@@ -55,7 +57,8 @@ def _places(names: Iterable[str]) -> dict[int, tuple[int, int, int]]:
         for field in layout.fields:
             width = calcsize(f"<{field.code}")
             if field.name in _NAMES and not field.length:
-                places[number] = (start, start + width, _NAMES[field.name])
+                unit = 1000 if number == _MILLISECONDS else _NAMES[field.name]
+                places[number] = (start, start + width, unit)
                 break
             start += width * (field.length or 1)
     return places

@@ -50,7 +50,9 @@ class Kind(IntEnum):
     RANGE = 6
     AIRSPEED = 7
     WHEEL = 8
-    IMU = 9
+    FLOW = 9
+    ANCHOR = 10
+    IMU = 11
 
 
 class HeadingSource(IntEnum):
@@ -272,6 +274,58 @@ class WheelSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FlowSample:
+    """Angular rates of the ground across the image of a camera that looks down.
+
+    By the axes of the sensor: a right-hand rotation of the sensor about an axis over a fixed scene
+    gives a positive rate about it, as OPTICAL_FLOW_RAD has it. So motion forward over the ground
+    gives a positive rate about y, motion to the right a negative one about x.
+    """
+
+    t_ns: int
+    """Middle of the interval over which the rates are means."""
+    flow_x: float
+    """rad/s."""
+    flow_y: float
+    """rad/s."""
+    gyro_x: float | None = None
+    """Mean rate of the sensor's own gyro over the same interval, rad/s; None: not known."""
+    gyro_y: float | None = None
+    """rad/s."""
+    quality: float | None = None
+    """From 0, nothing seen, to 1; None: not known."""
+    std: float | None = None
+    """One sigma of a rate, rad/s, > 0; None: not known."""
+
+    def row(self) -> Row:
+        """Return the row [flow x y, gyro x y, quality, std]."""
+        values = (self.flow_x, self.flow_y, self.gyro_x, self.gyro_y, self.quality, self.std)
+        return make_row(self.t_ns, Kind.FLOW, *values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnchorSample:
+    """Range between the vehicle's tag and an anchor whose position is known."""
+
+    t_ns: int
+    range: float
+    """m, > 0."""
+    anchor: int
+    """Its number in the configuration."""
+    std: float | None = None
+    """One sigma, m, > 0; None: not known."""
+
+    def row(self) -> Row:
+        """Return [range, anchor, position of the anchor, whether that is geodetic, std].
+
+        The position is filled in by the configuration.
+        """
+        return make_row(
+            self.t_ns, Kind.ANCHOR, self.range, float(self.anchor), *(None,) * 4, self.std
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
     """Armed and landed as the autopilot reports them: no rest is assumed against them.
 
@@ -306,6 +360,8 @@ Measurement = (
     | RangeSample
     | AirspeedSample
     | WheelSample
+    | FlowSample
+    | AnchorSample
     | VehicleState
 )
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ekf_companion.core.memory.enums import Mode
 from ekf_companion.core.memory.overlay import as_state
-from ekf_companion.core.memory.scratch import OUT, ROW, Event
+from ekf_companion.core.memory.scratch import OUT, RECORD, ROW, Event
 from ekf_companion.core.memory.state import BLOCK
 from ekf_companion.core.rts import Smoother
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
@@ -28,9 +28,9 @@ from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, join
 
 _EVENT = np.dtype(Event)
-STRETCH = 384
-"""Rows of a stretch: 20 kB of state for 45 kB of rows, a tape of 10 MB; up to 250 kB more where the
-fault hypotheses decide."""
+STRETCH = 10_000_000 // (8 * RECORD)
+"""Rows of a stretch: a tape of 10 MB or, where each row moves and changes the state, of 30; a state
+for each stretch, and up to 250 kB more where the fault hypotheses decide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

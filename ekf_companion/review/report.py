@@ -195,6 +195,8 @@ def note_shortcomings(report: Report, path: Path) -> None:
         report.notes.append(
             f"{counted(strays, 'inertial sample')} not used: stamped ahead of those after"
         )
+    if report.health:
+        report.notes += report.health.oddities
     rate = report.rates.get(Kind.IMU, 0.0)
     if report.stamps.note:
         report.notes.append(report.stamps.note)

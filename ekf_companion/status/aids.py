@@ -197,8 +197,7 @@ def sources_of(
         Aid.HEADING: by_azimuth.get(Azimuth(azimuth), "") if azimuth else "",
         Aid.REST: "the inertial samples",
         **{
-            Aid[one.name.upper()]: f"{messages[one.kind]}, {one.sensor}"
+            Aid[one.name.upper()]: ", ".join(filter(None, (messages.get(one.kind), one.sensor)))
             for one in DECLARED
-            if one.kind in messages
         },
     }

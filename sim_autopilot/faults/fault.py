@@ -164,6 +164,22 @@ _SENSOR: _Kinds = {
         {"speed": Number(3.0, -100.0, 100.0)},
     ),
     "wheel-frozen": ("the wheels' way stays as it is, and jumps after", 5.0, {}),
+    "flow-frozen": ("the optical flow sensor says the same again and again", 10.0, {}),
+    "flow-blind": (
+        "the optical flow sensor sees nothing, and says so, or that nothing moves (still)",
+        10.0,
+        {"how": Word(("dark", "still"))},
+    ),
+    "flow-scale": (
+        "the optical flow is `by` times as fast; -1 is a wrong sign",
+        10.0,
+        {"by": Number(-1.0, -10.0, 10.0)},
+    ),
+    "flow-drift": (
+        "the ground that the optical flow sensor sees moves itself, as water, rad/s",
+        10.0,
+        {"x": Number(0.1, -10.0, 10.0), "y": Number(0.0, -10.0, 10.0)},
+    ),
 }
 _SETUP: _Kinds = {
     "mounting": (

@@ -11,7 +11,7 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import radii
 from sim_autopilot.faults.fault import Fault, Layer
-from sim_autopilot.flight import Cycle, Fix, Vector
+from sim_autopilot.flight import Cycle, Fix, Flow, Vector
 from sim_autopilot.sensors import pressure
 
 _NAN: Vector = (math.nan, math.nan, math.nan)
@@ -30,6 +30,7 @@ class SensorFaults:
         """Way of the wheels at the begin of each fault of theirs, by its number, m."""
         self._airspeed: dict[int, tuple[float, float]] = {}
         """Likewise airspeed, m/s, and altitude, m."""
+        self._good_flow: Flow | None = None
         self._on_fix: dict[str, Callable[[Fault, Fix, float], Fix | None]] = {
             "gnss-outage": _outage,
             "gnss-jump": _jump,
@@ -49,6 +50,10 @@ class SensorFaults:
             "pitot-scale": _pitot_scale,
             "wheel-slip": self._slip,
             "wheel-frozen": self._wheel_frozen,
+            "flow-frozen": self._flow_frozen,
+            "flow-blind": _blind,
+            "flow-scale": _flow_scale,
+            "flow-drift": _flow_drift,
             "mounting": _mounting,
             "own-estimate": _own_estimate,
             "accel-drift": _accel_drift,
@@ -68,6 +73,8 @@ class SensorFaults:
         names = {fault.kind.name for fault in acting}
         if self._good is None or "imu-stuck" not in names:
             self._good = right
+        if right.flow is not None and (self._good_flow is None or "flow-frozen" not in names):
+            self._good_flow = right.flow
         if right.fix is not None and (self._good_fix is None or "gnss-frozen" not in names):
             self._good_fix = right.fix
         return cycle
@@ -79,6 +86,12 @@ class SensorFaults:
     def _frozen(self, fault: Fault, fix: Fix, t: float) -> Fix:
         frozen = self._good_fix or fix
         return frozen._replace(t_ns=fix.t_ns) if fault.values["time"] == "advancing" else frozen
+
+    def _flow_frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        if cycle.flow is None:
+            return cycle
+        frozen = self._good_flow or cycle.flow
+        return cycle._replace(flow=frozen._replace(t_ns=cycle.flow.t_ns))
 
     def _blocked(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
         """Read by the pressure that is shut up in the tube: it grows as the vehicle climbs."""
@@ -170,6 +183,28 @@ def _bounce(fault: Fault, cycle: Cycle, t: float) -> Cycle:
         fault.number("lowest"), fault.number("highest")
     )
     return cycle._replace(range_m=float(found))
+
+
+def _blind(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if (flow := cycle.flow) is None:
+        return cycle
+    if fault.values["how"] == "dark":
+        return cycle._replace(flow=flow._replace(rate=(0.0, 0.0), quality=0.0))
+    return cycle._replace(flow=flow._replace(rate=(0.0, 0.0)))
+
+
+def _flow_scale(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if (flow := cycle.flow) is None:
+        return cycle
+    x, y = (fault.number("by") * one for one in flow.rate)
+    return cycle._replace(flow=flow._replace(rate=(x, y)))
+
+
+def _flow_drift(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if (flow := cycle.flow) is None:
+        return cycle
+    x, y = flow.rate
+    return cycle._replace(flow=flow._replace(rate=(x + fault.number("x"), y + fault.number("y"))))
 
 
 def _mounting(fault: Fault, cycle: Cycle, t: float) -> Cycle:

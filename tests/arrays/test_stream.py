@@ -51,6 +51,8 @@ def test_a_declared_aid_is_taken_by_its_name():
     assert np.isfinite(last[0].pos_n[2])
     assert np.array_equal(last[0].pos_n, last[1].pos_n, equal_nan=True)
     by_name.aid("range_finder", flown.time[-1], range=2.5)
+    by_name.aid("anchor_range", flown.time[-1], range=2.5, anchor=3)
+    by_name.aid("optical_flow", flown.time[-1], flow_x=0.1, flow_y=0.2)
     with pytest.raises(ConfigError, match="aids: sonar: there is none of this name; known are "):
         by_name.aid("sonar", 1.0, range=1.0)
     with pytest.raises(ConfigError, match="range_finder: height: known are range, std"):

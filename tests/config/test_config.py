@@ -107,7 +107,7 @@ def test_the_reference_says_unit_range_reload_and_parameter():
     ("text", "sentence"),
     [
         ("imu: {gyro_nosie: 1.0}", "imu.gyro_nosie: unknown key; did you mean gyro_noise?"),
-        ("autopilot: 1", "autopilot: unknown key; known: airspeed, align, baro, "),
+        ("autopilot: 1", "autopilot: unknown key; known: airspeed, align, anchor_range, baro, "),
         ("1: 2", "1: unknown key; known: "),
         (
             "link: {component_id: 300}",

@@ -28,8 +28,19 @@ def number_of(aid):
 
 
 def usual(aid):
-    """Return a row in the middle of what the sensor says, what is optional not known."""
-    return [math.nan if one.is_optional else min(0.5 * one.high, 7.0) for one in aid.row.values()]
+    """Return a row in the middle of what the sensor says, what is optional not known.
+
+    Of a range the configuration knows where the anchor is.
+    """
+    known = {"north", "east", "down"}
+    return [
+        math.nan if one.is_optional and name not in known else min(0.5 * one.high, 7.0)
+        for name, one in aid.row.items()
+    ]
+
+
+PRIORS = (Kind.FLOW, Kind.ANCHOR)
+"""Whose slow errors no single reading shows: they begin with what is known of such sensors."""
 
 
 MOVING = {Kind.AIRSPEED: VehicleType.FIXED_WING, Kind.WHEEL: VehicleType.GROUND}
@@ -37,7 +48,7 @@ MOVING = {Kind.AIRSPEED: VehicleType.FIXED_WING, Kind.WHEEL: VehicleType.GROUND}
 
 
 def level(seed, aid):
-    """Return a state that is tilted by less than any aid refuses, and moves along its axis."""
+    """Return a state above ground that is tilted by less than any aid refuses, and moves ahead."""
     x = a_state(seed)
     x.mode, x.armed, x.has_yaw = Mode.NAVIGATE, 1.0, 1.0
     x.vehicle = MOVING.get(aid.kind, VehicleType.UNKNOWN)
@@ -48,6 +59,7 @@ def level(seed, aid):
         own = next(one for one in DECLARED if one.name == name).slow_errors.values()
         for i, error in enumerate(own):
             errors(x)[first - 3 + i] = x.pos_n[2] + 5.0 if error.unit == "m" else 0.1
+    x.has_aid[Aid.RANGE_FINDER] = 1.0
     return x
 
 
@@ -57,6 +69,8 @@ def parameters_of(aid):
     found = Parameters.from_buffer(parameters(settings, "px4")).aid[number_of(aid)]
     k.aid[number_of(aid)] = found
     k.aid[number_of(aid)].std = 0.5
+    if aid.kind in PRIORS:
+        k.aid[number_of(aid)].own[:] = [0.1] * len(k.aid[number_of(aid)].own)
     return k
 
 
@@ -65,32 +79,42 @@ def parameters_of(aid):
 def test_its_jacobian_is_the_slope_of_the_prediction(aid, seed):
     module, number, x = load().dispatch, number_of(aid), level(seed, aid)
     tilt, own = list(x.q_nb), parameters_of(aid).aid[number_of(aid)]
+    down, ground = x.pos_n[2], x.range_finder_ground
     if aid.kind == Kind.WHEEL:  # its lever arm and mounting
         own.own[2:6] = [0.6, -0.4, 0.8, 0.1]
 
     def observe(moved, k, o):
         if aid.kind == Kind.RANGE:  # it takes the tilt as it is
             moved.q_nb[:] = tilt
+        if aid.kind == Kind.FLOW:  # it takes the height as it is
+            moved.pos_n[2], moved.range_finder_ground = down, ground
         k.aid[number] = own
-        module.observe(moved, k, o, number, usual(aid))
+        assert module.observe(moved, k, o, number, usual(aid))
 
     check(observe, x, 1e-5)
 
 
 @ALL
 def test_its_first_reading_shows_its_slow_errors_and_nothing_else(aid):
-    """After it the same reading is no news, and its error is the estimate's and white noise."""
+    """After it the same reading is no news, and its error is the estimate's and white noise.
+
+    Where no single reading shows them, they are none, and owe to nothing else.
+    """
     x, k, o, module = level(1, aid), parameters_of(aid), Observation(), load().dispatch
-    root = 0.01 * np.random.default_rng(1).normal(size=(N, N))
+    root = np.random.default_rng(1).normal(size=(N, N))
     P = array(x.P)
-    P[:] = root @ root.T
+    P[:] = root @ root.T * 1e-4  # as sure as where an aid may begin
     before, kept = P.copy(), np.array(errors(x))
     assert module.begin(x, k, number_of(aid), usual(aid))
     assert module.observe(x, k, o, number_of(aid), usual(aid))
-    assert o.z[0] == pytest.approx(0.0, abs=1e-12)
     first = SLOW_ERRORS[aid.name]
     own = range(first, first + len(aid.slow_errors))
     others = [i for i in range(N) if i not in own]
+    if aid.kind in PRIORS:
+        assert not np.array(errors(x))[first - 3 : own.stop - 3].any()
+        assert not P[np.ix_(own, others)].any()
+    else:
+        assert o.z[0] == pytest.approx(0.0, abs=1e-12)
     assert np.array_equal(P[np.ix_(others, others)], before[np.ix_(others, others)])
     assert [i + 3 for i in np.flatnonzero(np.array(errors(x)) != kept)] == [*own]
     assert np.array_equal(P, P.T)
@@ -118,9 +142,10 @@ def test_it_is_found_by_whoever_speaks_of_it(aid):
     assert BY_KIND[aid.kind] is aid
     own = getattr(FilterSettings(), aid.name)
     assert own.use
-    assert own.std > 0.0
+    walks = {name for one in aid.slow_errors.values() for name in (one.walk, one.speed_walk)}
+    assert min(own.std, *(getattr(own, name) for name in walks - {None})) > 0.0
     sources = sources_of(0, is_autopilots=False, ranks=(0, 0, 0, 0), receiver=0)
-    assert sources[number_of(aid)].endswith(f", {aid.sensor}")
+    assert sources[number_of(aid)].endswith(aid.sensor)
     assert aid.advice.endswith(".")
     assert f"{aid.name}.std" in aid.advice
     assert aid.words == aid.words.lower() != aid.sensor

@@ -259,8 +259,8 @@ def test_what_the_others_know_needs_no_gain_of_its_own(zeros):
     root[zeros] = 0.0
     P, B = root @ root.T, root @ rng.normal(0.0, 1.0, (N - 3, N))
     U, X = P.copy(), B.copy()
-    rts.factor(U)
-    rts.solve(U, X)
+    rts.factor(U, N)
+    rts.solve(U, X, N)
     np.testing.assert_allclose(P @ X, B, atol=1e-8)
     assert np.count_nonzero(np.diag(U) == 0.0) >= 3
     assert not X[zeros].any()

@@ -250,11 +250,11 @@ def test_an_armed_flight_without_gnss_is_not_taken_for_rest():
 def test_covariance_stays_symmetric_and_positive():
     events, _ = flight("figure-eight", duration=40.0)
     _, pipeline = run(events)
-    P = np.array(as_state(pipeline._timeline.block()).P)
+    x = as_state(pipeline._timeline.block())
+    P, n = np.array(x.P), CORE + int(x.begun)
     assert np.array_equal(P, P.T)
-    assert not P[CORE:].any()  # of aids that have not begun
-    P = P[:CORE, :CORE]
-    assert np.linalg.eigvalsh(P).min() > 0.0
+    assert not P[n:].any()
+    assert np.linalg.eigvalsh(P[:n, :n]).min() > 0.0
 
 
 def test_the_origin_is_the_first_fix_used_and_odometry_tells_the_state():

@@ -12,7 +12,15 @@ from ekf_companion.logs import ulog, ulog_messages
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
-CODES = {"uint64_t": "Q", "float": "f", "double": "d", "int32_t": "i", "uint8_t": "B", "bool": "?"}
+CODES = {
+    "uint32_t": "I",
+    "uint64_t": "Q",
+    "float": "f",
+    "double": "d",
+    "int32_t": "i",
+    "uint8_t": "B",
+    "bool": "?",
+}
 CODES["int8_t"] = "b"
 
 

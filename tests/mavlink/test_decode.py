@@ -9,6 +9,7 @@ from ekf_companion.mavlink.decode import Decoder, Family, Pace, Preference
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.nav.measurements import (
     BaroSample,
+    FlowSample,
     GnssFix,
     GnssFlag,
     HeadingSample,
@@ -927,3 +928,79 @@ def test_of_several_range_finders_the_first_counts_until_it_is_silent():
     assert used[:40] == [1] * 40
     assert set(used[40:]) == {0}
     assert len(used) == 40 + (12_000 - 8100) // 100 + 1
+
+
+def flow_of(peer, **fields):
+    """Return the flow of a message of a sensor that sees the ground."""
+    if peer.decoder.context.family is Family.ARDUPILOT:
+        known = {"time_usec": 1000, "flow_rate_x": 0.3, "flow_rate_y": -0.2}
+        known |= {"flow_comp_m_x": 0.25, "flow_comp_m_y": -0.3, "quality": 51}
+        said = peer.say("optical_flow", **{**known, **fields})
+    else:
+        known = {"time_usec": 1_000_000, "integration_time_us": 50_000, "quality": 204}
+        known |= {"integrated_x": 0.015, "integrated_y": -0.01}
+        known |= {"integrated_xgyro": 0.0025, "integrated_ygyro": 0.005}
+        said = peer.say("optical_flow_rad", **{**known, **fields})
+    return [one.row() for one in only(FlowSample, said)]
+
+
+def flying(family):
+    peer = Peer(family)
+    peer.highres(1_000_000)
+    return peer
+
+
+def test_a_flow_is_a_rate_at_the_middle_of_its_interval():
+    (t_ns, _, values), *_ = flow_of(flying(Family.PX4))
+    assert t_ns == 975_000_000
+    assert values[:5] == pytest.approx((0.3, -0.2, 0.05, 0.1, 0.8))
+    assert math.isnan(values[5])
+
+
+def test_ardupilot_s_flow_is_in_other_fields_and_its_time_in_milliseconds():
+    (t_ns, _, values), *_ = flow_of(flying(Family.ARDUPILOT))
+    assert t_ns == 1_000_000_000
+    assert values[:5] == pytest.approx((0.3, -0.2, 0.05, 0.1, 0.2))
+
+
+def test_of_a_sensor_without_a_gyro_the_flow_counts_without():
+    nothing = dict.fromkeys(("integrated_xgyro", "integrated_ygyro"), math.nan)
+    ((_, _, values),) = flow_of(flying(Family.PX4), **nothing)
+    assert values[0] == pytest.approx(0.3)
+    assert math.isnan(values[2])
+    assert math.isnan(values[3])
+
+
+@pytest.mark.parametrize(
+    ("family", "fields", "why"),
+    [
+        (Family.PX4, {"quality": 0}, "nothing seen"),
+        (Family.ARDUPILOT, {"quality": 0}, "nothing seen"),
+        (Family.PX4, {"integrated_x": math.nan}, "nothing seen"),
+        (Family.PX4, {"integration_time_us": 0}, "no interval"),
+    ],
+)
+def test_a_flow_that_has_seen_nothing_is_none(family, fields, why):
+    peer = flying(family)
+    assert flow_of(peer, **fields) == []
+    assert peer.refused[f"optical flow: {why}"] == 1
+
+
+def test_optical_flow_in_pixels_is_no_rate():
+    peer = flying(Family.PX4)
+    assert only(FlowSample, peer.say("optical_flow", time_usec=1_000_000, flow_x=12)) == []
+    assert peer.refused["optical flow: OPTICAL_FLOW in pixels"] == 1
+
+
+@pytest.mark.parametrize("family", [Family.PX4, Family.ARDUPILOT])
+def test_a_flow_that_stays_the_same_for_a_second_is_frozen(family):
+    peer, used = flying(family), []
+    unit = 1 if family is Family.ARDUPILOT else 1000
+    for t_ms in range(1000, 4000, 100):
+        peer.highres(1000 * t_ms)
+        changed = {} if t_ms < 3000 else {"integrated_x": 0.02, "flow_rate_x": 0.4}
+        known = changed.keys() & ({"flow_rate_x"} if unit == 1 else {"integrated_x"})
+        moved = {name: changed[name] for name in known}
+        used += [t_ms] * len(flow_of(peer, time_usec=unit * t_ms, **moved))
+    assert used == [*range(1000, 2000, 100), *range(3000, 4000, 100)]
+    assert peer.refused["optical flow: frozen"] == 10

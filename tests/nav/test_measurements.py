@@ -3,8 +3,10 @@ import numpy as np
 from ekf_companion.nav.measurements import (
     WIDTH,
     AirspeedSample,
+    AnchorSample,
     BaroSample,
     Events,
+    FlowSample,
     GnssFix,
     GnssFlag,
     HeadingSample,
@@ -30,6 +32,8 @@ SAMPLES = [
     AirspeedSample(t_ns=8, airspeed=21.0, is_indicated=True),
     WheelSample(t_ns=9, speed=-1.5, std=0.2),
     VehicleState(t_ns=6, is_armed=True),
+    FlowSample(t_ns=8, flow_x=0.1, flow_y=-0.2),
+    AnchorSample(t_ns=9, range=4.0, anchor=3),
 ]
 
 

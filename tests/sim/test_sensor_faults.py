@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from ekf_companion.nav.earth import LocalFrame
-from sim_autopilot.config import AirspeedConfig, RangeFinderConfig, SimConfig, WheelConfig
+from sim_autopilot.config import (
+    AirspeedConfig,
+    FlowConfig,
+    RangeFinderConfig,
+    SimConfig,
+    WheelConfig,
+)
 from sim_autopilot.faults.fault import KINDS, Layer, parse
 from sim_autopilot.faults.sensors import SensorFaults
 from sim_autopilot.flight import Flight
@@ -21,6 +27,7 @@ def flight():
         range_finder=RangeFinderConfig(fitted=True),
         airspeed=AirspeedConfig(fitted=True),
         wheel=WheelConfig(fitted=True),
+        flow=FlowConfig(fitted=True),
     )
     return Flight.plan("figure-eight", config, duration=8.0, skip=15.0)
 

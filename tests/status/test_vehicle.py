@@ -7,7 +7,7 @@ import pytest
 
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.status.judge import to_json
-from sim_autopilot.config import AirspeedConfig, RangeFinderConfig, WheelConfig
+from sim_autopilot.config import AirspeedConfig, FlowConfig, RangeFinderConfig, WheelConfig
 from sim_autopilot.personality import Kind
 from tests.status.test_observer import MS, Watched
 
@@ -79,10 +79,13 @@ def test_each_aid_names_its_source_and_since_when_it_is_used(flown, vehicle):
         "range_finder": "",
         "airspeed": "",
         "wheel": "",
+        "optical_flow": "",
+        "anchor_range": "",
     }
+    none = ("range_finder", "airspeed", "wheel", "optical_flow", "anchor_range")
     assert {name: aid.state for name, aid in vehicle.aids.items()} == {
         **dict.fromkeys(sources, "used"),
-        **dict.fromkeys(("range_finder", "airspeed", "wheel"), "none"),
+        **dict.fromkeys(none, "none"),
     }
     assert 5.0 < vehicle.aids["position"].since_s < 8.0
 
@@ -109,6 +112,16 @@ def test_airspeed_and_wheels_are_asked_for_and_used_by_the_vehicle_that_has_them
     assert (aid.source, aid.state) == (source, "used")
     hovering = Watched().fly(12.0, kind=kind, **{name: fitted}).snapshot().vehicle.aids[name]
     assert hovering.state == "none"
+
+
+def test_optical_flow_is_asked_for_and_used_once_the_ground_is_below():
+    fitted = {"flow": FlowConfig(fitted=True), "range_finder": RangeFinderConfig(fitted=True)}
+    watched = Watched().fly(20.0, **fitted)
+    aid = watched.snapshot().vehicle.aids["optical_flow"]
+    words = "OPTICAL_FLOW_RAD or OPTICAL_FLOW, optical flow sensor"
+    assert (aid.source, aid.state) == (words, "used")
+    assert 5.0 < aid.since_s < 19.0
+    assert watched.companion.session.decoder.refused["optical flow: nothing seen"] > 0
 
 
 def test_an_aid_that_comes_no_more_is_lost():

@@ -631,6 +631,8 @@ class Evidence:
     """When an unsound state was last replaced by an earlier one, ns."""
     used_t: Annotated[Vector, AIDS]
     """When each aid was last fused, ns."""
+    refusal: Annotated[Vector, AIDS]
+    """Share of the last measurements of an aid that declares itself that were refused."""
     refused_t: Annotated[Vector, AIDS]
     """Since when each has been refused, ns."""
     reading: Annotated[Vector, AIDS]
@@ -713,7 +715,7 @@ class Evidence:
     fall_gap: Real
     """What its vertical velocity gained lately beyond what the samples felt, m/s."""
     gnss_vel_offset_var: Annotated[Vector, 2]
-    """Variance that the slow error of the velocity has in the long run: level, vertical, (m/s)^2."""
+    """Variance of the slow error of the velocity in the long run: level, vertical, (m/s)^2."""
     gnss_offset_var: Annotated[Vector, 2]
     """Variance of the slow error of its position: horizontal, vertical, m^2."""
     last_z: Annotated[Vector, RUNS, 3]

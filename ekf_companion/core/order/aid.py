@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.filter.slow_error import carry
+from cython.cimports.ekf_companion.core.filter.slow_error import add_variance, carry
 from cython.cimports.ekf_companion.core.filter.update import innovate
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
+    AID_POSITION,
     AID_VELOCITY,
+    E_POS,
+    E_VEL,
     MODE_LEVEL,
     VERDICT_DENIED,
     VERDICT_FUSED,
+    VERDICT_GATED,
     VERDICT_SUPERSEDED,
     VERDICT_SUSPECT,
     VOICE_BARO,
@@ -29,6 +33,53 @@ DOUBTED = cython.declare(cython.double, 30.0)
 turn as they should it was up to 17."""
 FRESH = cython.declare(cython.double, 2e9)
 """Time since the last fix up to which its velocity speaks against an aid's, ns."""
+MEMORY = cython.declare(cython.double, 20.0)
+"""Measurements over which the share of the refused ones is formed."""
+HALF = cython.declare(cython.double, 0.5)
+"""Share beyond which those that pass do so by chance."""
+ALONE = cython.declare(cython.double, 2.0)
+"""Time without a position of the receiver after which ours owes to other aids, s."""
+ON_TRIAL = cython.declare(cython.double, 2.0)
+"""Of ``has_aid``: its readings are judged, and do not count yet."""
+
+
+def has_to_agree(x: State, k: Parameters, aid: int) -> bool:
+    """Return whether the slow errors of an aid are no copy of ours and a reading.
+
+    Such a one always agrees with its first reading; others have to, and later on with most.
+    """
+    return k.aid[aid].errors > 0.0 and x.copied[cython.cast(cython.int, k.aid[aid].error)] < 0.0
+
+
+def try_out(x: State, k: Parameters, o: Observation, aid: int) -> None:
+    """Judge a reading of an aid that has to agree, without fusing it.
+
+    So many in a row make it count that the share of the refused ones would fall below half.
+    """
+    if innovate(x, o) <= k.gate[o.rows - 1]:
+        gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+        x.refusal[aid] -= x.refusal[aid] / MEMORY
+        if x.refusal[aid] < HALF:
+            x.has_aid[aid] = 1.0
+        return
+    gate.count_verdict(x, aid, VERDICT_GATED)
+    if x.refused_t[aid] <= x.used_t[aid]:
+        x.refused_t[aid] = x.t
+    x.has_aid[aid] = 0.0
+
+
+def widen(x: State, k: Parameters, o: Observation, aid: int) -> None:
+    """Make velocity and position as uncertain as an aid that has led them proved to be wrong.
+
+    Beside a receiver they are its. Else they owe to what is now contradicted by itself: their
+    variances grow by the last normalised innovation squared (the ratio of Birge 1932).
+    """
+    if not gate.is_timed_out(x, AID_POSITION, ALONE):
+        return
+    share = x.ratio[aid] * k.gate[o.rows - 1] / o.rows - 1.0
+    if share > 0.0:
+        for e in range(E_VEL, E_POS + 3):
+            add_variance(x, e, share * x.P[e][e])
 
 
 def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None:
@@ -60,16 +111,38 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
             return
         if k.weighs_faults == WEIGH_ACT:
             shape.take_off(x, o, aid)
+        if x.has_aid[aid] == ON_TRIAL:
+            try_out(x, k, o, aid)
+            return
         nis = innovate(x, o)
-        if gate.fuse_judged(x, k, o, aid, nis, is_persistent(x, k, o, aid, nis)):
+        is_denied = cython.declare(cython.bint, is_persistent(x, k, o, aid, nis))
+        is_fused = cython.declare(cython.bint, gate.fuse_judged(x, k, o, aid, nis, is_denied))
+        x.refusal[aid] += ((0.0 if is_fused else 1.0) - x.refusal[aid]) / MEMORY
+        if has_to_agree(x, k, aid) and x.refusal[aid] > HALF:
+            x.has_aid[aid] = 0.0
+            widen(x, k, o, aid)
+            return
+        if is_fused:
             return
         # where faults are weighed a long refusal is judged by them, and ends by no time-out
         if k.weighs_faults == WEIGH_ACT or not gate.is_timed_out(x, aid, k.timeout_height):
             return
+    x.refusal[aid] = 0.0
+    is_anew = cython.declare(cython.bint, x.has_aid[aid] != 0.0)
+    x.has_aid[aid] = 0.0
     if is_stuck(x, k, aid) or is_outvoted(x, k, aid) or not dispatch.begin(x, k, aid, row):
-        gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+        if not is_anew:  # else it has just been refused
+            gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
         return
     carry(x, k, aid)
+    # one whose slow errors no single reading shows may contradict the estimate from the start
+    if has_to_agree(x, k, aid):
+        x.refusal[aid] = 1.0
+        if dispatch.observe(x, k, o, aid, row):
+            x.has_aid[aid] = ON_TRIAL
+            if not is_anew:
+                try_out(x, k, o, aid)
+        return
     x.has_aid[aid] = 1.0
     x.used_t[aid] = x.t
     gate.count_verdict(x, aid, VERDICT_FUSED)

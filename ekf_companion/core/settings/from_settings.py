@@ -78,7 +78,8 @@ def parameters(
             getattr(numbers_of, walk)[: len(found)] = found
             known |= {*names}
         rest = [getattr(own, f.name) for f in dataclasses.fields(own) if f.name not in known]
-        flat = np.hstack([[], *(math.nan if one == "auto" else one for one in rest)])
+        told = (math.nan if one == "auto" else one for one in rest)
+        flat = np.hstack([[], *(one for one in told if is_number(one))])
         numbers_of.own[: len(flat)] = flat
         numbers_of.error, numbers_of.errors = SLOW_ERRORS.get(one.name, 0), len(one.slow_errors)
     k.align_time, k.use_rest = settings.align.time, settings.align.use_rest
@@ -97,6 +98,11 @@ def parameters(
         of.rows, of.std, of.tail, of.rate = prior.rows, prior.std, prior.tail, prior.rate
         of.every, of.shows, of.source = prior.every, prior.shows, prior.source
     return numbers
+
+
+def is_number(value: object) -> bool:
+    """Return whether the kernel takes a setting as it is: a number, or some of them."""
+    return np.ndim(value) < 2 and not isinstance(value, str)  # type: ignore[arg-type]
 
 
 def imu_lag(settings: FilterSettings, family: str) -> float:
@@ -150,10 +156,10 @@ def delays_ns(
     late = np.zeros(len(Kind), dtype=np.int64)
     late[Kind.GNSS] = round(configured_delay(settings, family, gnss_delay) * 1e9)
     late[Kind.IMU] = round(imu_lag(settings, family) * 1e9)
+    for one in DECLARED:
+        delay = getattr(getattr(settings, one.name), "delay", 0.0)
+        late[one.kind] = round((HABITS[family].airspeed_delay if delay == "auto" else delay) * 1e9)
     mag = settings.heading.magnetometer_delay
-    air = settings.airspeed.delay
-    late[Kind.AIRSPEED] = round((HABITS[family].airspeed_delay if air == "auto" else air) * 1e9)
-    late[Kind.WHEEL] = round(settings.wheel.delay * 1e9)
     late[Kind.MAG] = round((HABITS[family].mag_delay if mag == "auto" else mag) * 1e9)
     return late
 

@@ -22,6 +22,8 @@ Share = Annotated[float, Meta(ge=0.01, le=1.0)]
 Probability = Annotated[float, Meta(gt=0.5, lt=1.0)]
 Gauss = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Factor = Annotated[float, Meta(ge=-10.0, le=10.0)]
+Anchor = tuple[float, float, float, float]
+AnchorBias = tuple[float, float]
 MatrixRow = tuple[Factor, Factor, Factor]
 
 

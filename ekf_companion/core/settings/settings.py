@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from ekf_companion.core.settings.setting import (
+    Anchor,
+    AnchorBias,
     Angle,
     Auto,
     Declination,
@@ -328,6 +330,72 @@ class WheelSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OpticalFlowSettings:
+    """A camera that looks down: velocity over the height above the ground.
+
+    That is the range finder's or, without one, where the vehicle last stood.
+    """
+
+    use: Annotated[bool, Setting(reload=True)] = True
+    """Use the flow, once there is a position. false over water or crops that move."""
+    std: Annotated[Positive, Setting("rad/s", reload=True)] = 0.1
+    """White noise of a rate at the best quality; at a lower one more, in proportion. A PX4FLOW in
+    flight has 0.05, of which most lasts for several readings."""
+    scale_std: Annotated[NotNegative, Setting(reload=True)] = 0.1
+    """One sigma of the scale, as of the focal length, before anything is known of it."""
+    turn_std: Annotated[NotNegative, Setting("rad", reload=True)] = 0.05
+    """One sigma of the camera's mounting about the body's down axis."""
+    bias_std: Annotated[NotNegative, Setting("rad/s", reload=True)] = 0.01
+    """One sigma of a constant rate, per axis: the sensor's gyro, a ground that is not level."""
+    scale_walk: Annotated[NotNegative, Setting("1/sqrt(s)", reload=True)] = 0.005
+    """Random walk of the scale: what is seen changes."""
+    bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 0.0005
+    """Random walk of that rate."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """Position of the sensor from the inertial sensor: forward, right, down."""
+    turn: Annotated[float, Meta(ge=-3.2, le=3.2), Setting("rad")] = 0.0
+    """By which the sensor's x axis is turned from forward, clockwise as seen from above, where the
+    autopilot does not turn it already."""
+    least_quality: Annotated[float, Meta(ge=0.0, le=1.0), Setting(reload=True)] = 0.15
+    """Least quality that is used, of 1. ArduPilot uses 0.2 and more."""
+    lowest: Annotated[NotNegative, Setting("m", reload=True)] = 0.2
+    """Height over the ground below which the camera is out of focus, and its flow is not used."""
+    delay: Annotated[Seconds, Setting("s")] = 0.0
+    """A flow is older than the middle of its interval by this or, where the message states no
+    interval (OPTICAL_FLOW, OF, .csv), than its stamp."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnchorRangeSettings:
+    """Ranges between a tag on the vehicle and anchors, as of ultra-wideband radios."""
+
+    use: Annotated[bool, Setting(reload=True)] = True
+    """Use the ranges, once there is a position."""
+    std: Annotated[Positive, Setting("m", reload=True)] = 0.3
+    """Noise of a range, if the sensor states no more. Two-way ranges in a room have 0.07, and what
+    stands between, which lasts for seconds, adds 0.1 to 0.4."""
+    bias_std: Annotated[NotNegative, Setting("m", reload=True)] = 0.3
+    """One sigma of an error that all ranges share: the delay of the radios."""
+    spread_std: Annotated[NotNegative, Setting("m", reload=True)] = 0.05
+    """One sigma of how much the error of an anchor's ranges differs from that: its own delay, and
+    its place."""
+    walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.005
+    """Random walk of these errors."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """Position of the tag from the inertial sensor: forward, right, down."""
+    delay: Annotated[Seconds, Setting("s")] = 0.0
+    """A range is older than its stamp by this."""
+    anchors: tuple[Anchor, ...] = ()
+    """Each anchor as [number, north, east, down], m from the origin; where places are geodetic, as
+    [number, latitude, longitude, altitude], deg and m above mean sea level."""
+    places: Literal["local", "geodetic"] = "local"
+    """What the places of the anchors are."""
+    biases: tuple[AnchorBias, ...] = ()
+    """By how much the ranges of an anchor are too long, as [number, m], where it was calibrated.
+    Then lower bias_std to 0.03 and spread_std to 0.01."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AlignSettings:
     """The start, which finds down and north before anything is estimated, and standing still."""
 
@@ -386,6 +454,8 @@ class FilterSettings:
     range_finder: RangeFinderSettings = field(default_factory=RangeFinderSettings)
     airspeed: AirspeedSettings = field(default_factory=AirspeedSettings)
     wheel: WheelSettings = field(default_factory=WheelSettings)
+    optical_flow: OpticalFlowSettings = field(default_factory=OpticalFlowSettings)
+    anchor_range: AnchorRangeSettings = field(default_factory=AnchorRangeSettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     gate: GateSettings = field(default_factory=GateSettings)
     integrity: IntegritySettings = field(default_factory=IntegritySettings)
