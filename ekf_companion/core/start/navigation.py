@@ -95,6 +95,8 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     keeps_height = cython.declare(
         cython.bint, x.mode == MODE_NAVIGATE and x.voices.is_rushing != 0.0
     )
+    if k.weighs_faults == WEIGH_ACT:  # what was declared beside a wrong attitude may be its work
+        let_go(x, address(w.observation.bank[0]), 0, 2)
     x.moved.yaw += yaw_reset.yaw_error(x)
     yaw_reset.take_attitude(x)
     if x.mode != MODE_LEVEL:
@@ -156,8 +158,6 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
     o = address(w.observation)
     for i in range(2):
         x.gnss_offset[i] = 0.0
-    if k.weighs_faults == WEIGH_ACT:
-        let_go(x, address(o.bank[0]), 0, 1)
     reset_variance(x, E_GNSS, 2, x.gnss_offset_var[0])
     reset_variance(x, E_POS, 2, ANY)
     gnss.position(x, k, address(w.fix), o)
@@ -181,8 +181,6 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     o = address(w.observation)
     forget_offsets(x)
     x.gnss_offset[2] = 0.0
-    if k.weighs_faults == WEIGH_ACT:
-        let_go(x, address(o.bank[0]), 2, 2)
     reset_variance(x, E_GNSS + 2, 1, x.gnss_offset_var[1])
     reset_variance(x, E_POS + 2, 1, ANY)
     gnss.height(x, k, address(w.fix), o)

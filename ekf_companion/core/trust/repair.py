@@ -360,10 +360,10 @@ def hold(b: Bank, axis: int, offset: float) -> None:
 
 
 def let_go(x: State, b: Bank, first: int, last: int) -> None:
-    """Hold no offset of a position that is drawn anew from the receiver's.
+    """Hold no offset of a position that is drawn anew beside an attitude that was wrong.
 
-    Whether the fault has ended since, nothing shows any more: what was known of it is forgotten
-    with the hypotheses. So the whole of it may be there, or none, until such a fault is over.
+    Whether there ever was that fault nothing shows any more: what was known of it is forgotten with
+    the hypotheses. So the whole of it may be there, or none, until such a fault is over.
     """
     for axis in range(first, last + 1):
         square = b.held[axis] * b.held[axis]
