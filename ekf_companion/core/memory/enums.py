@@ -327,7 +327,7 @@ CORE = 27
 N = CORE
 SLOW_ERRORS = {"baro": E_BARO}
 """Where the slow errors of each aid begin; of those that only their own files name, at the end."""
-MOST_SLOW_ERRORS = max(len(_one.slow_errors) for _one in DECLARED)
+MOST_SLOW_ERRORS = max((len(_one.slow_errors) for _one in DECLARED), default=1)
 for _one in DECLARED:
     if _one.slow_errors and _one.name not in SLOW_ERRORS:
         SLOW_ERRORS[_one.name] = N
