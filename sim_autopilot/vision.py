@@ -1,12 +1,16 @@
 """Another computer on the link that says where the vehicle is: a camera, a tracker, a second board.
 
-It knows the truth, beside an offset of its frame and a drift: what an autopilot makes of two that
-disagree is seen by that.
+It knows the truth, in a frame of its own that may be moved, turned and stretched, and it has the
+faults of a real one: what an autopilot, or an estimator that fuses it, makes of them is seen by
+that.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,8 +22,36 @@ _HEARTBEAT_NS = 1_000_000_000
 _ONBOARD, _NO_AUTOPILOT, _ACTIVE = 18, 8, 4
 _LOCAL_FRD, _BODY_FRD, _VISION = 20, 12, 2
 _VARIANCE = 0.01
+_LONGEST_NS = 2_000_000_000
+"""Longest delay."""
 COMPONENT = 197
 """MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VisionFaults:
+    """What is wrong with it; each as by default is nothing."""
+
+    scale: float = 1.0
+    """By which it measures all ways."""
+    yaw: float = 0.0
+    """Of its frame: what it measures is turned by so much, rad."""
+    delay: float = 0.0
+    """What it says was true so long before its stamp, s."""
+    walk: float = 0.0
+    """Random walk of its place by the way that is travelled, m/sqrt(m)."""
+    noise: float = 0.0
+    """One sigma of the white error of its place, m."""
+    jitter: float = 0.0
+    """One sigma of its stamps, s."""
+    burst: int = 1
+    """So many messages come together, with their own stamps."""
+    yaw_slip: float = 0.0
+    """Rate at which its frame turns, rad/s."""
+    frozen: tuple[float, float] = (math.inf, math.inf)
+    """From when until when it repeats itself, s after its begin."""
+    is_enu: bool = False
+    """Whether it says east, north, up and calls it the frame it should be."""
 
 
 class VisionSource:
@@ -34,19 +66,30 @@ class VisionSource:
         drift_n: tuple[float, float, float] = (0.0, 0.0, 0.0),
         rate: float = 30.0,
         component_id: int = COMPONENT,
+        faults: VisionFaults | None = None,
+        seed: int = 0,
     ) -> None:
         """Send a message so many times a second.
 
         Args:
             motion: The truth of now.
-            message: VISION_POSITION_ESTIMATE or ODOMETRY.
+            message: VISION_POSITION_ESTIMATE, VISION_SPEED_ESTIMATE or ODOMETRY.
             offset_n: Its origin is so far from the true one, m, with the sign of what it says.
             drift_n: Growth of that, m/s.
             rate: Hz.
             component_id: Its own.
+            faults: What is wrong with it.
+            seed: Of what is random in that.
         """
         self.offset_n = np.array(offset_n)
+        self.yaw = (faults or VisionFaults()).yaw
         self.counter = 0
+        self._faults = faults or VisionFaults()
+        self._rng = np.random.default_rng(seed)
+        self._walked = np.zeros(3)
+        self._past: deque[tuple[int, Motion]] = deque()
+        self._held: list[bytes] = []
+        self._frozen: Motion | None = None
         self._motion, self._message, self._drift_n = motion, message, np.array(drift_n)
         self._period_ns = round(1e9 / rate)
         self._sender = Sender(1, component_id)
@@ -74,30 +117,70 @@ class VisionSource:
         out, self._out = self._out, []
         return out
 
+    def reset(self, offset_n: tuple[float, float, float], yaw: float, *, counts: bool) -> None:
+        """Begin a new frame, moved (m) and turned (rad) against that of now; tell it or not."""
+        self.offset_n = self.offset_n + np.array(offset_n)
+        self.yaw += yaw
+        self.counter += counts
+
+    def _true(self, now_ns: int, since: float) -> Motion:
+        """Return the motion that it sees: that of some time ago, or of when it froze."""
+        faults = self._faults
+        self._past.append((now_ns, self._motion()))
+        while self._past[0][0] < now_ns - _LONGEST_NS:
+            self._past.popleft()
+        at_ns = now_ns - round(faults.delay * 1e9)
+        true = min(self._past, key=lambda one: abs(one[0] - at_ns))[1]
+        if faults.frozen[0] <= since < faults.frozen[1]:
+            self._frozen = self._frozen or true
+            return self._frozen
+        return true
+
     def _say(self, now_ns: int) -> None:
-        true = self._motion()
-        since = (now_ns - (self._begin_ns or now_ns)) * 1e-9
-        pos_n = np.array(true.pos_n) + self.offset_n + self._drift_n * since
+        faults, since = self._faults, (now_ns - (self._begin_ns or now_ns)) * 1e-9
+        true = self._true(now_ns, since)
+        way = float(np.linalg.norm(true.vel_n)) * self._period_ns * 1e-9
+        self._walked += faults.walk * math.sqrt(way) * self._rng.standard_normal(3)
+        yaw = self.yaw + faults.yaw_slip * since
+        q_fn = so3.from_euler(0.0, 0.0, yaw)
+        vel_f = faults.scale * so3.rotate(q_fn, np.array(true.vel_n) + self._drift_n)
+        pos_f = faults.scale * so3.rotate(q_fn, np.array(true.pos_n) + self._walked)
+        pos_f = pos_f + self.offset_n + self._drift_n * since
+        if self._frozen is not true and faults.noise:
+            pos_f = pos_f + faults.noise * self._rng.standard_normal(3)
+        euler = np.add(true.euler, (0.0, 0.0, yaw))
+        if faults.is_enu:
+            pos_f, vel_f = (one[[1, 0, 2]] * [1.0, 1.0, -1.0] for one in (pos_f, vel_f))
+            euler = np.array([euler[0], -euler[1], math.pi / 2.0 - euler[2]])
         covariance = [0.0] * 21
         for k in (0, 6, 11, 15, 18, 20):
             covariance[k] = _VARIANCE
-        place = dict(zip("xyz", pos_n.tolist(), strict=True))
+        place = dict(zip("xyz", pos_f.tolist(), strict=True))
+        stamp_us = now_ns // 1000 + round(faults.jitter * 1e6 * self._rng.standard_normal())
         if self._message == "ODOMETRY":
-            q_nb = np.array(true.q_nb)
-            vel_b = so3.rotate(so3.conjugate(q_nb), np.array(true.vel_n) + self._drift_n)
+            vel_b = so3.rotate(so3.conjugate(np.array(true.q_nb)), np.array(true.vel_n))
+            vel_b = faults.scale * (
+                vel_b + so3.rotate(so3.conjugate(np.array(true.q_nb)), self._drift_n)
+            )
             fields = {
-                "time_usec": now_ns // 1000,
+                "time_usec": stamp_us,
                 "frame_id": _LOCAL_FRD,
                 "child_frame_id": _BODY_FRD,
-                "q": tuple(q_nb.tolist()),
+                "q": tuple(so3.from_euler(*euler).tolist()),
                 **dict(zip(("vx", "vy", "vz"), vel_b.tolist(), strict=True)),
                 "pose_covariance": covariance,
                 "velocity_covariance": covariance,
                 "estimator_type": _VISION,
                 "quality": 100,
             }
+        elif self._message == "VISION_SPEED_ESTIMATE":
+            place = dict(zip("xyz", vel_f.tolist(), strict=True))
+            fields = {"usec": stamp_us, "covariance": [_VARIANCE, 0, 0, 0, _VARIANCE, 0, 0, 0, 0]}
         else:
-            angles = dict(zip(("roll", "pitch", "yaw"), true.euler, strict=True))
-            fields = {"usec": now_ns // 1000, **angles, "covariance": covariance}
+            angles = dict(zip(("roll", "pitch", "yaw"), euler.tolist(), strict=True))
+            fields = {"usec": stamp_us, **angles, "covariance": covariance}
         said = self._sender.message(self._message, **place, **fields, reset_counter=self.counter)
-        self._out.append(said)
+        self._held.append(said)
+        if len(self._held) >= faults.burst:
+            self._out += self._held
+            self._held = []

@@ -28,7 +28,7 @@ def view(data: Data, url: str, *, is_brief: bool = False) -> Group:
     is_good = health.get("is_ok") and (data["estimator"] or {}).get("status") == "ok"
     colour = "green" if is_good else "yellow" if health["is_healthy"] else "red"
     verdict = Text(health["words"], style=f"bold {colour}")
-    vehicle = vehicle_parts(data)
+    vehicle = vehicle_parts(data, is_brief=is_brief)
     parts = [verdict, *vehicle[:1], Text(f"{named(data)}; {url}", style="dim"), *vehicle[1:]]
     if is_brief:
         return Group(*parts)

@@ -27,20 +27,27 @@ def named(data: Data) -> str:
     return f"{text}, on {link}"
 
 
-def vehicle_parts(data: Data) -> list[RenderableType]:
-    """Return verdict, vehicle and aids; nothing if the daemon is too old to send them."""
+def vehicle_parts(data: Data, *, is_brief: bool = False) -> list[RenderableType]:
+    """Return verdict, vehicle and aids; nothing if the daemon is too old to send them.
+
+    In brief an aid that has never been heard is left out.
+    """
     from rich.text import Text
 
     if not data.get("vehicle"):
         return []
-    verdict = data["preflight"]
+    verdict, aids = data["preflight"], data["vehicle"]["aids"]
     colour = "green" if verdict["ready"] else "yellow"
     sentence = Text(f"take-off: {verdict['sentence']}", style=colour)
     return [
         sentence,
         _numbers(data["vehicle"], data["sample_age_s"]),
-        _aids(data["vehicle"]["aids"]),
+        _aids({name: aid for name, aid in aids.items() if not is_brief or _is_there(name, aid)}),
     ]
+
+
+def _is_there(name: str, aid: Data) -> bool:
+    return bool(name in _USUAL or aid["state"] != "none")
 
 
 def _plain_table(*columns: str) -> Table:

@@ -34,6 +34,7 @@ def session_options(
             request=timesync.request,
             largest_rtt_ms=timesync.largest_rtt * 1e3,
         ),
+        reads_others=config.visual_odometry.use or config.visual_velocity.use,
         withhold_unfollowed=odometry.not_followed == "withhold",
         guard=GuardOptions(
             mode=odometry.mode,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.held_reading import held
 from ekf_companion.nav.measurements import Kind
@@ -43,13 +44,27 @@ class Logged(NamedTuple):
     """Where an aid stands in the logs."""
 
     csv: dict[str, str]
-    """The unit of each quantity, in the order of the row; the first is the measurement."""
+    """The unit of each quantity, in the order of the row; the first ones are the measurement."""
     dataflash: tuple[Columns, ...]
     """Each counts."""
     ulog: tuple[Columns, ...]
     """The first that holds a measurement counts."""
+    measured: int = 1
+    """How many of the quantities that are, which is nothing without them."""
+
+    @property
+    def hold(self) -> str:
+        """As which a .csv may say that it holds the last value: its first quantity, or its name."""
+        first = next(iter(self.csv))
+        return first if self.measured == 1 else first.removesuffix("x").strip("_")
 
 
+IN_BODY = 3
+"""vehicle_odometry.velocity_frame: VELOCITY_FRAME_BODY_FRD."""
+_POSITION, _ROTATION, _VELOCITY = (
+    tuple(f"{name}[{axis}]" for axis in range(size))
+    for name, size in (("position", 3), ("q", 4), ("velocity", 3))
+)
 _FIELDS = ("current_distance", "min_distance", "max_distance")
 
 
@@ -231,6 +246,74 @@ _FLOW_TOPICS = (
 )
 """PX4, ``VehicleOpticalFlow.msg``, before 1.14 ``optical_flow.msg``: by the axes of the body."""
 
+
+def _visp(table: Table) -> tuple[Mask, tuple[Array, ...]]:
+    """Return the poses of VISP that were not ignored, by their north, east, down.
+
+    Source: ArduPilot, ``AP_VisualOdom/LogStructure.h``: angles in degrees. What it calls the error
+    is no sigma. Yaw is Y in newer logs, Yaw in older ones, the counter Rst or RstCnt; the oldest do
+    not say whether a pose was ignored.
+    """
+    place = [np.asarray(table[name], dtype=float) for name in ("PX", "PY", "PZ")]
+    unknown = np.full(len(place[0]), np.nan)
+    yaw = np.asarray(table.get("Y", table.get("Yaw", unknown)), dtype=float)
+    good = np.isfinite(sum(place)) & _is_used(table, len(yaw))
+    counter = _counter(table, "Rst" if "Rst" in table else "RstCnt", unknown)
+    return good, (*place, so3.wrap(np.radians(yaw)), unknown, unknown, counter)
+
+
+def _visv(table: Table) -> tuple[Mask, tuple[Array, ...]]:
+    """Return the velocities of VISV that were not ignored, north, east, down of its frame."""
+    speed = [np.asarray(table[name], dtype=float) for name in ("VX", "VY", "VZ")]
+    good = np.isfinite(sum(speed)) & _is_used(table, len(speed[0]))
+    return good, (*speed, np.full(len(good), np.nan), np.ones(len(good)))
+
+
+def _is_used(table: Table, size: int) -> Mask:
+    ignored = np.asarray(table.get("Ign", np.zeros(size)))
+    return np.asarray((ignored == 0) & (np.asarray(table.get("Q", np.zeros(size))) >= 0))
+
+
+def _counter(table: Table, name: str, unknown: Array) -> Array:
+    return np.asarray(table.get(name, unknown), dtype=float)
+
+
+def _place(topic: Table, names: Sequence[str]) -> list[Array]:
+    return [np.asarray(topic[name], dtype=float) for name in names]
+
+
+def _visual_pose(topic: Table) -> tuple[Mask, tuple[Array, ...]]:
+    """Return the poses of vehicle_visual_odometry, whose frames are all north or forward, down."""
+    place, q = _place(topic, _POSITION), np.stack(_place(topic, _ROTATION), axis=-1)
+    known = np.abs(np.linalg.norm(q, axis=-1) - 1.0) < 0.05
+    yaw = np.full(len(q), np.nan)
+    yaw[known] = so3.to_euler(q[known] / np.linalg.norm(q[known], axis=-1)[:, None])[:, 2]
+    unknown = np.full(len(yaw), np.nan)
+    std = _mean_std(topic, "position_variance", unknown)
+    quality = np.asarray(topic.get("quality", np.zeros(len(yaw))))
+    good = np.isfinite(sum(place)) & (quality >= 0)
+    counter = _counter(topic, "reset_counter", unknown)
+    return good, (*place, yaw, std, unknown, counter)
+
+
+def _visual_velocity(topic: Table) -> tuple[Mask, tuple[Array, ...]]:
+    """Return its velocities, in the body where it says so."""
+    speed = _place(topic, _VELOCITY)
+    frame = np.asarray(topic["velocity_frame"])
+    quality = np.asarray(topic.get("quality", np.zeros(len(frame))))
+    good = np.isfinite(sum(speed)) & (frame > 0) & (quality >= 0)
+    std = _mean_std(topic, "velocity_variance", np.full(len(frame), np.nan))
+    return good, (*speed, std, (frame != IN_BODY).astype(float))
+
+
+def _mean_std(topic: Table, name: str, unknown: Array) -> Array:
+    names = [f"{name}[{axis}]" for axis in range(3)]
+    if not {*names} <= {*topic}:
+        return unknown
+    variance = np.mean(_place(topic, names), axis=0)
+    return np.sqrt(np.where(variance > 0.0, variance, np.nan))
+
+
 LOGGED = {
     Kind.RANGE: Logged(
         {"range": "m", "range_std": "m"},
@@ -275,11 +358,37 @@ LOGGED = {
         tuple(_beacon(number) for number in range(4)),
         (),
     ),
+    Kind.POSE: Logged(
+        {
+            **dict.fromkeys(("odometry_x", "odometry_y", "odometry_z"), "m"),
+            "odometry_yaw": "rad",
+            "odometry_std": "m",
+            "odometry_yaw_std": "rad",
+            "odometry_counter": "1",
+        },
+        (Columns("VISP", ("PX", "PY", "PZ"), _visp),),
+        (Columns("vehicle_visual_odometry", (*_POSITION, *_ROTATION), _visual_pose),),
+        measured=3,
+    ),
+    Kind.VELOCITY: Logged(
+        {
+            **dict.fromkeys(("odometry_vx", "odometry_vy", "odometry_vz"), "m/s"),
+            "odometry_v_std": "m/s",
+            "odometry_v_is_level": "1",
+        },
+        (Columns("VISV", ("VX", "VY", "VZ"), _visv),),
+        (Columns("vehicle_visual_odometry", (*_VELOCITY, "velocity_frame"), _visual_velocity),),
+        measured=3,
+    ),
 }
 """By kind."""
 DATAFLASH = tuple((kind, columns) for kind, one in LOGGED.items() for columns in one.dataflash)
 """Where each stands, by kind."""
-ULOG = {topic.name: (kind, topic) for kind, one in LOGGED.items() for topic in one.ulog}
+_TOPICS = [(kind, topic) for kind, one in LOGGED.items() for topic in one.ulog]
+ULOG = {
+    name: [one for one in _TOPICS if one[1].name == name]
+    for name in dict.fromkeys(topic.name for _, topic in _TOPICS)
+}
 """By topic; of those of a kind the first that holds a measurement counts."""
-CSV = {kind: one.csv for kind, one in LOGGED.items()}
-"""The unit of each quantity, by kind."""
+CSV = LOGGED
+"""By kind."""

@@ -48,11 +48,7 @@ QUANTITIES = {
     **dict.fromkeys(["gps_lat", "gps_lon", "gps_course", "heading", "heading_std"], "angle"),
     **dict.fromkeys(["gps_alt", "gps_north", "gps_east", "gps_h"], "length"),
     **dict.fromkeys(["gps_std_h", "gps_std_v"], "length"),
-    **{
-        name: _BY_UNIT[unit]
-        for quantities in aids.CSV.values()
-        for name, unit in quantities.items()
-    },
+    **{name: _BY_UNIT[unit] for aid in aids.CSV.values() for name, unit in aid.csv.items()},
     **dict.fromkeys(["gps_vn", "gps_ve", "gps_vd", "gps_speed", "gps_std_vel"], "speed"),
 }
 """Dimension of each quantity."""

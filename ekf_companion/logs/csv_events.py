@@ -29,7 +29,7 @@ SEA_LEVEL_PRESSURE = 101325.0
 SCALE_HEIGHT = 288.15 / 0.0065
 """m: temperature at sea level by its lapse rate."""
 PRESSURE_EXPONENT = 0.190263
-_HOLDABLE = ("gps", "mag", "baro", "heading", *(next(iter(names)) for names in aids.CSV.values()))
+_HOLDABLE = ("gps", "mag", "baro", "heading", *(one.hold for one in aids.CSV.values()))
 
 
 class EventMaker:
@@ -92,9 +92,9 @@ class EventMaker:
         is_new[:1] = self._last is None
         self._last = t_ns[-1:], row[-1:], {name: column[-1:] for name, column in values.items()}
         found: Arrivals = []
-        for kind, names in aids.CSV.items():
-            part = _part(t_ns, is_new, values, names, self._constant)
-            found += self._aid(kind, [*names], part)
+        for kind, aid in aids.CSV.items():
+            part = _part(t_ns, is_new, values, aid.csv, self._constant)
+            found += self._aid(kind, aid, part)
         gnss, heading, mag, baro, imu = (
             _part(
                 t_ns,
@@ -111,12 +111,13 @@ class EventMaker:
             return Events.from_rows([])
         return merged([(events, row[at]) for events, at in found])
 
-    def _aid(self, kind: Kind, names: list[str], part: _Part) -> Arrivals:
-        if names[0] not in part.values:
+    def _aid(self, kind: Kind, aid: aids.Logged, part: _Part) -> Arrivals:
+        if not {*[*aid.csv][: aid.measured]} <= {*part.values}:
             return []
-        columns = [part.values.get(one, np.full(len(part.row), np.nan)) for one in names]
-        held = columns[:1] if names[0] in self._hold else None
-        return _found(part, kind, columns, columns[:1], held)
+        columns = [part.values.get(one, np.full(len(part.row), np.nan)) for one in aid.csv]
+        measured = columns[: aid.measured]
+        held = measured if aid.hold in self._hold else None
+        return _found(part, kind, columns, measured, held)
 
     def _sensor(self, group: str, kind: Kind, part: _Part) -> Arrivals:
         if not part.values.keys() >= {*GROUPS[group]}:

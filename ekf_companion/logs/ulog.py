@@ -136,8 +136,11 @@ def read(path: Path) -> Recording:
     else:
         sources += streamed("vehicle_air_data", _barometer)
     found: set[Kind] = set()
-    for name, (kind, aid) in aids.ULOG.items():
-        if (topic := topics.get(name)) is not None and kind not in found:
+    for name, read_by in aids.ULOG.items():
+        for kind, aid in read_by:
+            topic = topics.get(name)
+            if topic is None or kind in found or not {*aid.needed} <= {*topic}:
+                continue
             valid, columns = aid.read(topic)
             late = 0.0 if aid.late is None else aid.late(topic)
             sources += sources_of(_events(topic, kind, valid, *columns, late=late))

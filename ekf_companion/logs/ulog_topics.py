@@ -47,7 +47,7 @@ _TOPICS: dict[str, tuple[str, ...]] = {
     "vehicle_attitude_groundtruth": _ROTATION,
     "vehicle_local_position_groundtruth": _LOCAL,
     "vehicle_global_position_groundtruth": _GLOBAL,
-    **{name: one.needed for name, (_, one) in aids.ULOG.items()},
+    **{name: read_by[0][1].needed for name, read_by in aids.ULOG.items()},
 }
 """The topics that are used, and the fields that each needs."""
 _SENSORS = (
@@ -96,9 +96,10 @@ def choose(log: Messages, notes: list[str]) -> tuple[Stored, Extent, Damage]:
     ]
     found: Stored = {}
     for table in usable:
-        aid = aids.ULOG.get(table.topic)
+        read_by = [one for _, one in aids.ULOG.get(table.topic, ())]
+        read_by = [one for one in read_by if {*one.needed} <= {*table.rows.names}]
         # Of an aid's sensors the first that measures what the aid wants
-        if aid is None or aid[1].read(columns_of(table.rows.all()))[0].any():
+        if not read_by or any(one.read(columns_of(table.rows.all()))[0].any() for one in read_by):
             found.setdefault(table.topic, table.rows)
     found |= ulog_instances.choose(log, usable, notes)
     for name in ulog_instances.ASKED:

@@ -67,6 +67,8 @@ class Reader(PayloadReader):
         self.numbers: Sequence = session.sequence
         self.kinds: Column[np.int8] = kinds_of(session)
         self.changes = -1
+        self.is_others: Column[np.int8] = np.zeros(len(self.kinds), dtype=np.int8)
+        np.asarray(self.is_others)[list(session.decoder.external.readers)] = 1
         self.received = np.zeros(len(self.kinds), dtype=np.int64)
 
     # A log: many frames, as many rows as the buffer takes
@@ -127,6 +129,8 @@ class Reader(PayloadReader):
                     break
                 self.received[number] += 1
                 heard += 1
+            elif self.is_others[number]:
+                break
             count += 1
             size += self.end[i] - place
             i += 1

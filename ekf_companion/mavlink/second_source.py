@@ -46,10 +46,22 @@ class SecondSource(Service):
     """Notices another source of poses, and withholds ours beside it."""
 
     def __init__(
-        self, emit: Emit, guard: Guard, is_flying: Callable[[], bool] = lambda: False
+        self,
+        emit: Emit,
+        guard: Guard,
+        is_flying: Callable[[], bool] = lambda: False,
+        is_read: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Begin with nobody; ``is_flying`` returns whether the vehicle is in the air."""
+        """Begin with nobody.
+
+        Args:
+            emit: Where events go.
+            guard: Whether the autopilot fuses poses.
+            is_flying: Returns whether the vehicle is in the air.
+            is_read: Returns whether poses of others are an aid of our estimate.
+        """
         self._emit, self._guard, self._is_flying = emit, guard, is_flying
+        self._is_read = is_read
         self.patience_ns = 10 * SECOND_NS
         """On the ground, without a message of the other for so long, we send again. No two
         companions may have the same, or both would begin at once, and hear each other."""
@@ -104,9 +116,12 @@ class SecondSource(Service):
 
     def _hold(self, other: tuple[int, int, int]) -> Hold:
         system_id, component_id, _ = other
+        remedy = "stop one of the two"
+        if self._is_read():
+            remedy = "let it reach the companion alone, by a link of its own"
         return Hold(
             reason=f"{self.words}, and the autopilot would fuse both by turns",
-            remedy="stop one of the two, or set output.odometry.second_source to send",
+            remedy=f"{remedy}, or set output.odometry.second_source to send",
             text=f"{system_id}/{component_id} sends poses too",
         )
 
@@ -118,7 +133,8 @@ class SecondSource(Service):
         system_id, component_id, number = self._other
         rate = _rate(self._heard[self._other])
         name = LAYOUTS[number].name
-        return f"system {system_id}, component {component_id} sends {name} at {rate:.0f} Hz"
+        words = f"system {system_id}, component {component_id} sends {name} at {rate:.0f} Hz"
+        return f"{words}, an aid of ours" if self._is_read() else words
 
 
 def _is_steady(times: deque[int]) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
@@ -103,6 +103,8 @@ class SessionOptions:
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
     withhold_unfollowed: bool = False
     """Whether no ODOMETRY is sent while the autopilot does not follow it."""
+    reads_others: bool = False
+    """Whether poses and velocities that other components send are measurements here."""
     guard: GuardOptions | None = None
     """When ODOMETRY is withheld; None: this session sends none, and reads no parameter."""
 
@@ -167,7 +169,9 @@ class Session:
         self.statustext = StatusText(self.outbox)
         self.timesync = Timesync(self.outbox, options.timesync)
         self.delivery = Delivery(self.outbox, self._emit, self.guard, self.timesync, is_flying)
-        self.second_source = SecondSource(self._emit, self.guard, is_flying)
+        self.second_source = SecondSource(
+            self._emit, self.guard, is_flying, lambda: self.options.reads_others
+        )
         self.delivery.pacing.is_signed = signing is not None
         self.autopilot_estimate = AutopilotEstimate()
         self.following = Following(
@@ -233,7 +237,7 @@ class Session:
                 self.autopilot_sender = sender
                 yield self._receive_from_autopilot(frame, now_ns)
             else:
-                yield []
+                yield self._receive_from_other(frame)
 
     def receive_frame(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Process a whole frame of a known message that anybody may send, as :meth:`steps` does.
@@ -245,7 +249,7 @@ class Session:
         self.splitter.pass_over(1)
         if self._is_of_autopilot(frame, now_ns):
             return self._receive_from_autopilot(frame, now_ns)
-        return []
+        return self._receive_from_other(frame)
 
     def pass_over(self, count: int, size: int, heard: int, echoes: int = 0) -> None:
         """Count frames, and their bytes, that were processed elsewhere (:mod:`.reader`).
@@ -297,6 +301,13 @@ class Session:
             self.second_source.on_frame(frame, now_ns)
             return False
         return True
+
+    def _receive_from_other(self, frame: Frame) -> list[Measurement]:
+        """Return what another component measured, which is neither the autopilot nor we."""
+        peer, source = self.discovery.peer, frame[1:3]
+        if not self.options.reads_others or peer is None or source in (peer, self.outbox.ids):
+            return []
+        return self.decoder.external.read(frame, peer[0])
 
     def _receive_from_autopilot(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Handle what only the autopilot may say; return what it measured."""
@@ -399,6 +410,7 @@ class Session:
     def retune(self, options: SessionOptions) -> None:
         """Go on with other rates, parameters, and options of the guard and of TIMESYNC."""
         self.changes += 1
+        self.options = replace(self.options, reads_others=options.reads_others)
         self.timesync.options = options.timesync
         self.requests.retune(options.rates)
         self.following.withholds = options.withhold_unfollowed

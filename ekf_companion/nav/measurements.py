@@ -52,7 +52,11 @@ class Kind(IntEnum):
     WHEEL = 8
     FLOW = 9
     ANCHOR = 10
-    IMU = 11
+    POSE = 11
+    """Of another estimator, in a frame of its own."""
+    VELOCITY = 12
+    """Of another estimator."""
+    IMU = 13
 
 
 class HeadingSource(IntEnum):
@@ -326,6 +330,50 @@ class AnchorSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PoseSample:
+    """Position and yaw of another estimator, in a frame of its own whose z points down."""
+
+    t_ns: int
+    x: float
+    """m; x, y, z are right-handed."""
+    y: float
+    z: float
+    yaw: float | None = None
+    """Of the body's forward axis from x towards y, rad; None: not known."""
+    std: float | None = None
+    """One sigma of the position, m, > 0, as the source states it; None: not known."""
+    yaw_std: float | None = None
+    """One sigma of yaw, rad, > 0; None: not known."""
+    counter: int | None = None
+    """Moves when the source begins a new frame; None: it does not say."""
+
+    def row(self) -> Row:
+        """Return the row [x y z, yaw, std, yaw std, counter]."""
+        stds = (self.std, self.yaw_std, self.counter)
+        return make_row(self.t_ns, Kind.POSE, self.x, self.y, self.z, self.yaw, *stds)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VelocitySample:
+    """Velocity of another estimator, in the body or in a level frame of its own."""
+
+    t_ns: int
+    x: float
+    """m/s: forward, right, down of the body; or of the frame, whose z points down."""
+    y: float
+    z: float
+    std: float | None = None
+    """One sigma per axis, m/s, > 0; None: not known."""
+    is_level: bool = False
+    """Whether it is in a level frame; else in the body."""
+
+    def row(self) -> Row:
+        """Return the row [x y z, std, is level]."""
+        level = float(self.is_level)
+        return make_row(self.t_ns, Kind.VELOCITY, self.x, self.y, self.z, self.std, level)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
     """Armed and landed as the autopilot reports them: no rest is assumed against them.
 
@@ -362,6 +410,8 @@ Measurement = (
     | WheelSample
     | FlowSample
     | AnchorSample
+    | PoseSample
+    | VelocitySample
     | VehicleState
 )
 

@@ -84,6 +84,9 @@ class AidWatch:
         )
         airspeed = BY_KIND[Kind.AIRSPEED].sensor
         sources[Aid["AIRSPEED"]] = f"{session.decoder.airspeed_source}, {airspeed}"
+        for kind, sender in session.decoder.external.used.items():
+            declared = BY_KIND[kind]
+            sources[Aid[declared.name.upper()]] = f"{sender}, {declared.sensor}"
         used = {aid: x.count[aid][Verdict.FUSED] + x.count[aid][Verdict.DEWEIGHTED] for aid in Aid}
         refused = {aid: {why: int(x.count[aid][why]) for why in _WHY} for aid in Aid}
         refused[Aid.HEADING][Verdict.DISTURBED] += session.decoder.refused[_NO_FIELD]

@@ -22,7 +22,7 @@ def test_what_decides_on_the_state_the_link_or_files_waits_for_a_restart():
     assert {name.partition(".")[0] for name in waiting} == {
         *("link", "signing", "output", "parameters", "record", "checkpoint", "http", "live"),
         *("imu", "gnss", "heading", "align", "window", "weigh_faults", "airspeed", "wheel"),
-        *("optical_flow", "anchor_range"),
+        *("optical_flow", "anchor_range", "visual_odometry", "visual_velocity"),
     }
     assert {name for name in waiting if name.startswith(("output", "align"))} == {
         *(

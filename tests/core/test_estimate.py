@@ -6,6 +6,7 @@ import pytest
 from ekf_companion.core.memory.bank import Bank
 from ekf_companion.core.memory.enums import (
     AIDS,
+    CORE,
     E_ATT,
     E_POS,
     Aid,
@@ -40,7 +41,7 @@ def navigating() -> State:
     x.azimuth, x.fix_t, x.raw_fix_t = Azimuth.FIELD, NOW, NOW
     for aid in range(AIDS):
         x.used_t[aid], x.refused_t[aid] = NOW, -1e18
-    root = np.random.default_rng(1).normal(0.0, 0.02, (len(x.P), len(x.P)))
+    root = np.random.default_rng(1).normal(0.0, 0.02, (len(x.P), CORE))
     array(x.P)[:] = root @ root.T
     return x
 

@@ -33,7 +33,8 @@ def test_every_parameter_is_given():
     assert {name for name, one in given.items() if (one == 0.0).any()} == may_be_zero
     for declared in DECLARED:
         one = k.aid[Aid[declared.name.upper()]]
-        assert min(one.use, one.std, one.error, one.errors) > 0.0
+        assert min(one.std, one.error, one.errors, one.parts) > 0.0
+        assert one.use == getattr(FilterSettings(), declared.name).use
         for i, error in enumerate(declared.slow_errors.values()):
             assert (one.walk[i] > 0.0) == (error.walk is not None)
             assert (one.speed_walk[i] > 0.0) == (error.speed_walk is not None)

@@ -67,6 +67,13 @@ def test_before_anything_is_heard_nothing_is_known():
     assert data["preflight"]["ready"] is False
 
 
+ABSENT = (
+    *("range_finder", "airspeed", "wheel", "optical_flow", "anchor_range"),
+    *("visual_odometry", "visual_velocity"),
+)
+"""Sensors that this vehicle does not have."""
+
+
 def test_each_aid_names_its_source_and_since_when_it_is_used(flown, vehicle):
     sources = {name: aid.source for name, aid in vehicle.aids.items()}
     assert sources == {
@@ -76,16 +83,11 @@ def test_each_aid_names_its_source_and_since_when_it_is_used(flown, vehicle):
         "heading": "HIGHRES_IMU, magnetometer",
         "baro": "HIGHRES_IMU, barometer",
         "rest": "the inertial samples",
-        "range_finder": "",
-        "airspeed": "",
-        "wheel": "",
-        "optical_flow": "",
-        "anchor_range": "",
+        **dict.fromkeys(ABSENT, ""),
     }
-    none = ("range_finder", "airspeed", "wheel", "optical_flow", "anchor_range")
     assert {name: aid.state for name, aid in vehicle.aids.items()} == {
         **dict.fromkeys(sources, "used"),
-        **dict.fromkeys(none, "none"),
+        **dict.fromkeys(ABSENT, "none"),
     }
     assert 5.0 < vehicle.aids["position"].since_s < 8.0
 

@@ -54,6 +54,8 @@ ANCHORS = cython.declare(cython.int, 8)
     sensor="anchors",
     advice="Measure where the anchors are anew (anchor_range.anchors), raise anchor_range.std, or "
     "anchor_range.use = false.",
+    is_tried=True,
+    shows_velocity=True,
 )
 class AnchorRange:
     """The distance between the tag and an anchor."""

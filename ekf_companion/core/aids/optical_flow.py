@@ -77,6 +77,8 @@ reading would be believed whatever it says."""
     sensor="optical flow sensor",
     advice="Look at its mounting (optical_flow.turn), its lens and the light, raise "
     "optical_flow.std, or optical_flow.use = false.",
+    is_tried=True,
+    shows_velocity=True,
 )
 class OpticalFlow:
     """The rates of the ground across the image, by the axes of the sensor."""

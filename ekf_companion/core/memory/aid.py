@@ -43,6 +43,14 @@ class SlowError:
 
 
 @dataclass(frozen=True, slots=True)
+class Kept:
+    """What is kept from one measurement to the next, beside the slow errors; 0 at the start."""
+
+    unit: str
+    size: int = 1
+
+
+@dataclass(frozen=True, slots=True)
 class Declaration:
     """An aid, as its file declares it."""
 
@@ -64,6 +72,15 @@ class Declaration:
     """Readings in a row that may lie between the gates; more are refused. 0: any number may."""
     yields: bool
     """Whether the receiver's velocity is right where the two contradict each other."""
+    is_tried: bool
+    """No single reading shows its slow errors: it counts once its readings have agreed for long."""
+    kept: dict[str, Kept]
+    parts: int
+    """How many observations one measurement makes, one after another."""
+    shows_position: bool
+    """It has a ``place``: navigation can start by it, and goes on by it without fixes."""
+    shows_velocity: bool
+    """Navigation goes on by it without fixes."""
 
 
 def aid(
@@ -75,6 +92,10 @@ def aid(
     stuck_after: float = 0.0,
     patience: int = 0,
     yields: bool = False,
+    is_tried: bool = False,
+    parts: int = 1,
+    shows_position: bool = False,
+    shows_velocity: bool = False,
 ) -> Callable[[type], type]:
     """Mark the class that declares an aid; its values and slow errors are what it assigns."""
 
@@ -84,8 +105,12 @@ def aid(
         if len(row) > WIDTH:
             raise ValueError(f"{declared.__name__}: a row has {WIDTH} numbers, this {len(row)}")
         name = declared.__module__.rpartition(".")[2]
-        faults = stuck_after, patience, yields
-        declared.found = Declaration(name, kind, words, sensor, advice, row, errors, *faults)
+        kept = {key: one for key, one in vars(declared).items() if isinstance(one, Kept)}
+        faults = stuck_after, patience, yields, is_tried
+        shows = shows_position, shows_velocity
+        declared.found = Declaration(
+            name, kind, words, sensor, advice, row, errors, *faults, kept, parts, *shows
+        )
         return declared
 
     return mark
@@ -97,7 +122,7 @@ def _read(path: Path) -> Declaration | None:
     if "\n@aid(" not in text:
         return None
     node = next(one for one in ast.parse(text).body if isinstance(one, ast.ClassDef))
-    names: dict[str, Any] = {one.__name__: one for one in (aid, Value, SlowError, Kind)}
+    names: dict[str, Any] = {one.__name__: one for one in (aid, Value, SlowError, Kept, Kind)}
     names["__name__"] = path.stem
     exec(compile(ast.Module([node], []), path, "exec"), names)
     found: Declaration = names[node.name].found

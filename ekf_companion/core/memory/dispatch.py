@@ -31,6 +31,13 @@ _FUNCTIONS = (
         "False",
     ),
     (
+        "place(x: State, k: Parameters, aid: int, row: Vector) -> float",
+        "Write the position at a start by an aid alone; return one sigma, m; 0: it shows none.",
+        "aid == AID_{aid}",
+        "{name}.place(x, k, row)",
+        "0.0",
+    ),
+    (
         "is_possible(kind: int, values: Numbers) -> bool",
         "Return whether an aid's sensor can say this.",
         "kind == KIND_{kind}",
@@ -63,6 +70,8 @@ def source() -> str:
     for signature, words, condition, returned, otherwise in _FUNCTIONS:
         lines += ["", "", f"def {signature}:", f'    """{words}"""']
         for one in DECLARED:
+            if ".place(" in returned and not one.shows_position:
+                continue
             known = {"kind": one.kind.name, "aid": one.name.upper(), "name": one.name}
             bounds = " and ".join(_bounds(i, value) for i, value in enumerate(one.row.values()))
             lines.append(f"    if {condition.format(**known)}:")

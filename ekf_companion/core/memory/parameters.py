@@ -37,6 +37,12 @@ class AidParameters:
     """Readings in a row that may lie between the gates; 0: any number may."""
     yields: Real
     """It is wrong where the receiver's velocity contradicts it."""
+    is_tried: Real
+    """It counts once its readings have agreed for long."""
+    parts: Real
+    """Observations that one measurement makes."""
+    shows: Real
+    """Without fixes navigation goes on by it; 2: and can start by it."""
 
 
 @struct

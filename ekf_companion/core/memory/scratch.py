@@ -129,6 +129,8 @@ class Observation:
     rows: Count
     shows_delay: Count
     """0: it does not move the delay of the fixes, which is uncertain in it all the same."""
+    part: Count
+    """Which of the observations that an aid's measurement makes."""
     z: Annotated[Vector, 3]
     """Innovation: measured minus predicted."""
     H: Annotated[Vector, 3, N]

@@ -515,6 +515,20 @@ AidErrors = type(
 """Slow errors of the aids that only their own files name: ``aid_error``, in its unit."""
 
 
+AidKept = type(
+    "AidKept",
+    (),
+    {
+        "__annotations__": {
+            f"{one.name}_{name}": Real if kept.size == 1 else Annotated[Vector, kept.size]
+            for one in DECLARED
+            for name, kept in one.kept.items()
+        }
+    },
+)
+"""What the aids keep beside their slow errors: ``aid_name``."""
+
+
 class Learnt:
     """What belongs to the estimates: their covariance, and what they were learnt from."""
 
@@ -542,7 +556,7 @@ class Learnt:
     """:class:`NeedsReset`."""
 
 
-class Estimated(Estimates, AidErrors, Learnt):  # type: ignore[misc, valid-type]
+class Estimated(Estimates, AidErrors, AidKept, Learnt):  # type: ignore[misc, valid-type]
     """What is estimated, and what it was learnt from: all goes when the filter starts over."""
 
 

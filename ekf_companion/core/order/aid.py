@@ -12,6 +12,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     E_POS,
     E_VEL,
+    MODE_ATTITUDE,
     MODE_LEVEL,
     VERDICT_DENIED,
     VERDICT_FUSED,
@@ -26,6 +27,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order import dispatch
+from cython.cimports.ekf_companion.core.start.navigation import start_without_fix
 from cython.cimports.ekf_companion.core.trust import gate, repair, shape, voices
 
 DOUBTED = cython.declare(cython.double, 30.0)
@@ -39,16 +41,13 @@ HALF = cython.declare(cython.double, 0.5)
 """Share beyond which those that pass do so by chance."""
 ALONE = cython.declare(cython.double, 2.0)
 """Time without a position of the receiver after which ours owes to other aids, s."""
+STARTS = cython.declare(cython.double, 2.0)
+"""Of what an aid shows: a position to start from."""
+WAIT_FOR_FIX = cython.declare(cython.double, 5e9)
+"""Time after which navigation starts by an aid, ns: fixes and a heading that are there have begun
+it within that."""
 ON_TRIAL = cython.declare(cython.double, 2.0)
 """Of ``has_aid``: its readings are judged, and do not count yet."""
-
-
-def has_to_agree(x: State, k: Parameters, aid: int) -> bool:
-    """Return whether the slow errors of an aid are no copy of ours and a reading.
-
-    Such a one always agrees with its first reading; others have to, and later on with most.
-    """
-    return k.aid[aid].errors > 0.0 and x.copied[cython.cast(cython.int, k.aid[aid].error)] < 0.0
 
 
 def try_out(x: State, k: Parameters, o: Observation, aid: int) -> None:
@@ -98,35 +97,26 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
             gate.count_verdict(x, aid, VERDICT_SUSPECT)
             return
     note_reading(x, aid, row)
+    waited = x.t - x.alignment.start_t
+    if x.mode == MODE_ATTITUDE and k.aid[aid].shows == STARTS and waited > WAIT_FOR_FIX:
+        std = dispatch.place(x, k, aid, row)
+        if std > 0.0:
+            start_without_fix(x, std)
     if x.has_aid[aid] != 0.0:
-        if not dispatch.observe(x, k, o, aid, row):
-            gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+        if fuse_parts(x, k, w, aid, row):
             return
-        if is_stuck(x, k, aid):
-            gate.count_verdict(x, aid, VERDICT_DENIED)
+        # it has ended what began before, or is refused for long: by a long refusal that the faults
+        # are weighed by, no time-out is reached
+        if x.has_aid[aid] != 0.0 and (
+            k.weighs_faults == WEIGH_ACT or not gate.is_timed_out(x, aid, k.timeout_height)
+        ):
             return
-        if is_outvoted(x, k, aid):
-            x.has_aid[aid] = 0.0
-            gate.count_verdict(x, aid, VERDICT_DENIED)
-            return
-        if k.weighs_faults == WEIGH_ACT:
-            shape.take_off(x, o, aid)
-        if x.has_aid[aid] == ON_TRIAL:
-            try_out(x, k, o, aid)
-            return
-        nis = innovate(x, o)
-        is_denied = cython.declare(cython.bint, is_persistent(x, k, o, aid, nis))
-        is_fused = cython.declare(cython.bint, gate.fuse_judged(x, k, o, aid, nis, is_denied))
-        x.refusal[aid] += ((0.0 if is_fused else 1.0) - x.refusal[aid]) / MEMORY
-        if has_to_agree(x, k, aid) and x.refusal[aid] > HALF:
-            x.has_aid[aid] = 0.0
-            widen(x, k, o, aid)
-            return
-        if is_fused:
-            return
-        # where faults are weighed a long refusal is judged by them, and ends by no time-out
-        if k.weighs_faults == WEIGH_ACT or not gate.is_timed_out(x, aid, k.timeout_height):
-            return
+    begin(x, k, w, aid, row)
+
+
+def begin(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None:
+    """Find the slow errors of an aid by a measurement, or what is known of such sensors."""
+    o = address(w.observation)
     x.refusal[aid] = 0.0
     is_anew = cython.declare(cython.bint, x.has_aid[aid] != 0.0)
     x.has_aid[aid] = 0.0
@@ -135,8 +125,7 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
             gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
         return
     carry(x, k, aid)
-    # one whose slow errors no single reading shows may contradict the estimate from the start
-    if has_to_agree(x, k, aid):
+    if k.aid[aid].is_tried != 0.0:
         x.refusal[aid] = 1.0
         if dispatch.observe(x, k, o, aid, row):
             x.has_aid[aid] = ON_TRIAL
@@ -146,6 +135,42 @@ def fuse_aid(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None
     x.has_aid[aid] = 1.0
     x.used_t[aid] = x.t
     gate.count_verdict(x, aid, VERDICT_FUSED)
+
+
+def fuse_parts(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> bool:
+    """Fuse what a measurement observes, part by part; return whether that was all it can do.
+
+    The next part counts where the one before was fused.
+    """
+    o = address(w.observation)
+    for part in range(cython.cast(cython.Py_ssize_t, k.aid[aid].parts)):
+        o.part = part
+        if not dispatch.observe(x, k, o, aid, row):
+            if part == 0 and x.has_aid[aid] != 0.0:
+                gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+            return x.has_aid[aid] != 0.0
+        if part == 0 and (is_stuck(x, k, aid) or is_outvoted(x, k, aid)):
+            if not is_stuck(x, k, aid):
+                x.has_aid[aid] = 0.0
+            gate.count_verdict(x, aid, VERDICT_DENIED)
+            return True
+        if k.weighs_faults == WEIGH_ACT:
+            shape.take_off(x, o, aid)
+        if x.has_aid[aid] == ON_TRIAL:
+            try_out(x, k, o, aid)
+            return True
+        nis = innovate(x, o)
+        is_denied = cython.declare(cython.bint, is_persistent(x, k, o, aid, nis))
+        is_fused = cython.declare(cython.bint, gate.fuse_judged(x, k, o, aid, nis, is_denied))
+        if part == 0:
+            x.refusal[aid] += ((0.0 if is_fused else 1.0) - x.refusal[aid]) / MEMORY
+        if k.aid[aid].is_tried != 0.0 and x.refusal[aid] > HALF:
+            x.has_aid[aid] = 0.0
+            widen(x, k, o, aid)
+            return True
+        if not is_fused:
+            return part > 0
+    return True
 
 
 def note_reading(x: State, aid: int, row: Vector) -> None:

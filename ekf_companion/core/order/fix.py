@@ -43,6 +43,7 @@ from cython.cimports.ekf_companion.core.order import receiver
 from cython.cimports.ekf_companion.core.start import align, yaw_bank, yaw_reset
 from cython.cimports.ekf_companion.core.start.navigation import (
     forget_vel_offset,
+    join_fixes,
     reset_height,
     reset_position,
     reset_unknown_velocity,
@@ -139,6 +140,10 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         if has_vel and align.level_in_motion(x, k, w) if x.mode == MODE_LEVEL else x.has_yaw != 0.0:
             start_navigation(x, k, w, has_vel)
         else:
+            gate.count_verdict(x, AID_POSITION, VERDICT_BEFORE_ALIGNMENT)
+        return True
+    if x.origin.is_known == 0.0:
+        if not join_fixes(x, k, w, has_vel):
             gate.count_verdict(x, AID_POSITION, VERDICT_BEFORE_ALIGNMENT)
         return True
     if k.weighs_faults == WEIGH_ACT:
@@ -372,7 +377,8 @@ def position_patience(x: State, k: Parameters, w: Scratch) -> float:
     While the velocity is fused, our position can have drifted only slowly: a distance that would
     have taken longer is the receiver's jump.
     """
-    if gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE):
+    is_led = cython.declare(cython.bint, gate.is_shown(x, k, SAME_CAUSE))
+    if gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE) and not is_led:
         return k.timeout_pos
     z = w.observation.z
     north = z[0] - x.refused_way[0]
@@ -385,7 +391,7 @@ def position_patience(x: State, k: Parameters, w: Scratch) -> float:
     if off < FEW_SIGMAS * FEW_SIGMAS * sigma:
         return k.timeout_pos
     needed = sqrt(off) / OWN_DRIFT
-    if needed > LONGEST_PATIENCE:
+    if needed > LONGEST_PATIENCE and not is_led:
         needed = LONGEST_PATIENCE
     return needed if needed > k.timeout_pos else k.timeout_pos
 

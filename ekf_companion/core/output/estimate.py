@@ -68,7 +68,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Estimate, Motion, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import repair
-from cython.cimports.ekf_companion.core.trust.gate import is_running, is_timed_out
+from cython.cimports.ekf_companion.core.trust.gate import is_running, is_shown, is_timed_out
 from cython.cimports.ekf_companion.core.trust.voices import is_fall_unconfirmed
 from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
 
@@ -138,7 +138,8 @@ def judge_state(x: State, k: Parameters) -> int:
         reasons |= REASON_UNCERTAIN
     late = late_fix(x)
     is_judged = cython.declare(cython.bint, k.weighs_faults == WEIGH_ACT)
-    if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
+    is_led = cython.declare(cython.bint, is_shown(x, k, 1.0))
+    if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late) and not is_led:
         reasons |= REASON_UNAIDED
     if x.needs_reset != 0.0:
         reasons |= REASON_GAP
@@ -244,6 +245,8 @@ def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate)
         return status
     for i in range(3):
         write_axis(x, y, out, i)
+    if x.origin.is_known == 0.0:
+        return status
     out.lla[0] = (x.origin.lat + y.pos_n[0] / x.origin.scale_n) * DEG
     out.lla[1] = wrap(x.origin.lon + y.pos_n[1] / x.origin.scale_e) * DEG
     out.lla[2] = x.origin.alt - y.pos_n[2]

@@ -69,7 +69,7 @@ def parameters(
         own, numbers_of = getattr(settings, one.name), k.aid[Aid[one.name.upper()]]
         numbers_of.use, numbers_of.std = own.use, own.std
         numbers_of.stuck_after, numbers_of.patience = one.stuck_after, one.patience
-        numbers_of.yields = one.yields
+        numbers_of.yields, numbers_of.is_tried = one.yields, one.is_tried
         errors = one.slow_errors.values()
         known = {"use", "std"}
         for walk in ("walk", "speed_walk", "climb_walk"):
@@ -82,6 +82,8 @@ def parameters(
         flat = np.hstack([[], *(one for one in told if is_number(one))])
         numbers_of.own[: len(flat)] = flat
         numbers_of.error, numbers_of.errors = SLOW_ERRORS.get(one.name, 0), len(one.slow_errors)
+        numbers_of.parts = one.parts
+        numbers_of.shows = 2.0 if one.shows_position else float(one.shows_velocity)
     k.align_time, k.use_rest = settings.align.time, settings.align.use_rest
     k.rest_gyro, k.rest_accel = settings.align.rest_gyro, settings.align.rest_accel
     k.gate[:] = [chi_square_quantile(gate.probability, dof) for dof in (1, 2, 3)]

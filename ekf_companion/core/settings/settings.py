@@ -396,6 +396,67 @@ class AnchorRangeSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class VisualOdometrySettings:
+    """The pose of another estimator: visual or lidar odometry, motion capture."""
+
+    use: Annotated[bool, Setting(reload=True)] = False
+    """Use its poses, as what is travelled between them. Not where GNSS is in them already."""
+    std: Annotated[Positive, Setting("m", reload=True)] = 0.05
+    """White noise of the position, if the source states no more."""
+    yaw_std: Annotated[Positive, Setting("rad", reload=True)] = 0.005
+    """White noise of its yaw."""
+    scale_std: Annotated[NotNegative, Setting("1", reload=True)] = 0.02
+    """One sigma of its scale at first. 0.1 for a single camera without an inertial sensor; 0 for
+    motion capture: without fixes the scale is found by accelerometers, which are 1 % off too."""
+    delay: Annotated[Seconds, Setting("s")] = 0.0
+    """A pose is older than its stamp by this; the rest is found."""
+    delay_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.15
+    """One sigma of that."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """Place that its position is of, from the inertial sensor: forward, right, down."""
+    timing_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.005
+    """Jitter of its stamps."""
+    walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.002
+    """Random walk of its frame's place in a hover."""
+    speed_walk: Annotated[NotNegative, Setting("m/sqrt(s) per m/s", reload=True)] = 0.03
+    """Random walk of its frame's place for each m/s of speed: its drift."""
+    yaw_walk: Annotated[NotNegative, Setting("rad/sqrt(s)", reload=True)] = 3e-3
+    """Random walk of its frame's yaw: measured of a monocular one over 30 to 100 s."""
+    scale_walk: Annotated[NotNegative, Setting("1/sqrt(s)", reload=True)] = 2e-4
+    """Random walk of its scale."""
+    delay_walk: Annotated[NotNegative, Setting("s/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of its delay."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VisualVelocitySettings:
+    """The velocity of another estimator, used where that gives no pose."""
+
+    use: Annotated[bool, Setting(reload=True)] = False
+    """Use its velocity."""
+    std: Annotated[Positive, Setting("m/s", reload=True)] = 0.1
+    """White noise of the velocity, if the source states no more."""
+    yaw_std: Annotated[NotNegative, Setting("rad", reload=True)] = 0.3
+    """One sigma at first of the yaw of its frame, where it is not in the body; 0: it is north."""
+    scale_std: Annotated[NotNegative, Setting("1", reload=True)] = 0.1
+    """One sigma of its scale at first, as of visual_odometry."""
+    delay: Annotated[Seconds, Setting("s")] = 0.0
+    """A velocity is older than its stamp by this; the rest is found."""
+    delay_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.1
+    """One sigma of that."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """Place that its velocity is of, from the inertial sensor: forward, right, down."""
+    timing_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.005
+    """Jitter of its stamps."""
+    yaw_walk: Annotated[NotNegative, Setting("rad/sqrt(s)", reload=True)] = 3e-3
+    """Random walk of its frame's yaw."""
+    scale_walk: Annotated[NotNegative, Setting("1/sqrt(s)", reload=True)] = 1e-3
+    """Random walk of its scale."""
+    delay_walk: Annotated[NotNegative, Setting("s/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of its delay."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AlignSettings:
     """The start, which finds down and north before anything is estimated, and standing still."""
 
@@ -456,6 +517,8 @@ class FilterSettings:
     wheel: WheelSettings = field(default_factory=WheelSettings)
     optical_flow: OpticalFlowSettings = field(default_factory=OpticalFlowSettings)
     anchor_range: AnchorRangeSettings = field(default_factory=AnchorRangeSettings)
+    visual_odometry: VisualOdometrySettings = field(default_factory=VisualOdometrySettings)
+    visual_velocity: VisualVelocitySettings = field(default_factory=VisualVelocitySettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     gate: GateSettings = field(default_factory=GateSettings)
     integrity: IntegritySettings = field(default_factory=IntegritySettings)

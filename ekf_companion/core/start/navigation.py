@@ -32,6 +32,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     NEEDS_FIX,
     NEEDS_TILT,
     RESET_GAP,
+    RESET_ORIGIN,
     VERDICT_FUSED,
     WEIGH_ACT,
 )
@@ -39,7 +40,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.start import align, yaw_reset
-from cython.cimports.ekf_companion.core.trust import slide
+from cython.cimports.ekf_companion.core.trust import doubt, slide
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset, count_verdict, note_used
 from cython.cimports.ekf_companion.core.trust.repair import let_go
 from cython.cimports.ekf_companion.core.trust.shape import take_off
@@ -78,6 +79,49 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
     x.proven_t = x.t if x.at_rest != 0.0 else x.t + PROVING
     x.used_t[AID_VELOCITY] = x.t
     x.used_t[AID_BARO] = x.t
+
+
+def start_without_fix(x: State, std: float) -> None:
+    """Begin to navigate at the position that an aid has written, of this sigma, m.
+
+    Where that is on the Earth nobody knows: there is no origin, or no more.
+    """
+    if x.origin.is_known != 0.0:
+        begin_reset(x, RESET_ORIGIN)
+        x.origin.is_known = 0.0
+    x.mode = MODE_NAVIGATE
+    doubt.restart(x)  # no fix tells how much of the shaking is noise; by poses all would be
+    forget_offsets(x)
+    x.has_aid[AID_BARO] = 0.0
+    for i in range(3):
+        x.vel_n[i] = 0.0
+    reset_variance(x, E_POS, 3, std * std)
+    reset_variance(x, E_VEL, 3, 0.04 if x.at_rest != 0.0 else 25.0)
+    x.proven_t = x.t if x.at_rest != 0.0 else x.t + PROVING
+
+
+def join_fixes(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
+    """Go on from a start without fixes when they come; return whether that could be.
+
+    Where north is known the position stays, and the origin becomes the place that this makes of
+    the fix. Where the start's frame was turned anyhow, the yaw bank has to find north first.
+    """
+    fix = address(w.fix)
+    o = address(w.observation)
+    if x.azimuth == 0.0:
+        if not yaw_reset.is_ready(x):
+            return False
+        begin_reset(x, RESET_ORIGIN)
+        start_from_yaw_bank(x, k, w)
+        return True
+    set_origin(x, fix.lat, fix.lon, fix.alt)
+    gnss.position(x, k, fix, o)
+    lat = fix.lat + o.z[0] / x.origin.scale_n
+    lon = fix.lon + o.z[1] / x.origin.scale_e
+    gnss.height(x, k, fix, o)
+    set_origin(x, lat, lon, fix.alt - o.z[0])
+    reset_to_fix(x, k, w, has_vel)
+    return True
 
 
 def move_to_offset(x: State, axis: int, offset: float) -> None:

@@ -22,6 +22,7 @@ from cython.cimports.ekf_companion.core.filter.update import (
 )
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
+    AIDS,
     AZIMUTH_MAGNETIC,
     VERDICT_DENIED,
     VERDICT_DEWEIGHTED,
@@ -73,6 +74,15 @@ def count_judged(x: State, aid: int, verdict: int) -> None:
 def is_timed_out(x: State, aid: int, limit: float) -> bool:
     """Return whether an aid has not been used for longer than its limit, s."""
     return x.t - x.used_t[aid] > limit * 1e9
+
+
+def is_shown(x: State, k: Parameters, limit: float) -> bool:
+    """Return whether an aid that shows position or velocity was fused within a time, s."""
+    for aid in range(AIDS):
+        is_there = cython.declare(cython.bint, k.aid[aid].shows != 0.0 and x.has_aid[aid] != 0.0)
+        if is_there and not is_timed_out(x, aid, limit):
+            return True
+    return False
 
 
 def is_refused_for(x: State, aid: int, limit: float) -> bool:

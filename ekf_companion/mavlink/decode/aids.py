@@ -267,7 +267,7 @@ READERS: tuple[type[Reader], ...] = (RangeFinder, Airspeed, Wheel, OpticalFlowRa
 SOURCES = {
     kind: " or ".join(one.message for one in READERS if one.kind is kind)
     for kind in dict.fromkeys(one.kind for one in READERS)
-}
-"""The messages of each, by kind."""
+} | dict.fromkeys((Kind.POSE, Kind.VELOCITY), "another component")
+"""The messages of each, by kind; what others send is named by :mod:`.external`."""
 RATES = {one.message: one.rate for one in READERS}
 """Hz, by message."""

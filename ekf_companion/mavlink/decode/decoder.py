@@ -7,6 +7,7 @@ from collections.abc import Callable
 from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, DecoderOptions, Family, Measurements
+from ekf_companion.mavlink.decode.external import External
 from ekf_companion.mavlink.decode.fix import Fixes
 from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
@@ -45,6 +46,7 @@ class Decoder(DecoderState):
         self.fixes = Fixes(self.context)
         self.position = Position(self.context, self.heading, self.fixes)
         self._receiver = Receiver(self.context, self.vehicle)
+        self.external = External(self.context)
         self._aids = [reader(self.context) for reader in aids.READERS]
         self._airspeed = next(one for one in self._aids if isinstance(one, aids.Airspeed))
         readers: dict[str, Callable[[Frame], Measurements]] = {
@@ -71,7 +73,14 @@ class Decoder(DecoderState):
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (*self._ranked, self.fixes, self.position, self.trim, *self._aids):
+        for reader in (
+            *self._ranked,
+            self.fixes,
+            self.position,
+            self.trim,
+            self.external,
+            *self._aids,
+        ):
             reader.forget()
         if step is Step.BEGUN:
             self.vehicle.forget()

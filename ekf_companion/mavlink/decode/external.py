@@ -1,0 +1,239 @@
+"""Poses and velocities that other components send: visual odometry, motion capture.
+
+They are stamped by the autopilot's clock where the two are synchronised, else by one of their own.
+Of that only the difference counts: the least lag that it ever showed is taken for none, and what is
+constant of it the estimator finds as a delay.
+
+Of several senders the first counts until it is silent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode.context import Context, Measurements
+from ekf_companion.mavlink.decode.preference import Preference
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.nav.measurements import Kind, PoseSample, VelocitySample
+
+Axes = tuple[tuple[int, float], ...]
+"""Which axis of another frame, and with which sign, is x, y, z of one whose z points down."""
+_DOWN: Axes = ((0, 1.0), (1, 1.0), (2, 1.0))
+_FLU: Axes = ((0, 1.0), (1, -1.0), (2, -1.0))
+_ENU: Axes = ((1, 1.0), (0, 1.0), (2, -1.0))
+_FRAMES = {
+    **dict.fromkeys((1, 14, 16, 18, 20), _DOWN),
+    21: _FLU,
+    **dict.fromkeys((4, 15, 17, 19), _ENU),
+}
+"""By MAV_FRAME: LOCAL_NED, MOCAP_NED, VISION_NED, ESTIM_NED, LOCAL_FRD; LOCAL_FLU; LOCAL_ENU,
+MOCAP_ENU, VISION_ENU, ESTIM_ENU."""
+_BODY = {8: _DOWN, 12: _DOWN, 13: _FLU}
+"""By MAV_FRAME: BODY_NED, BODY_FRD, BODY_FLU, whose forward axes are the same."""
+_NO_AID = {4: "GPS", 5: "GPS_INS", 8: "AUTOPILOT"}
+"""MAV_ESTIMATOR_TYPE of what has GNSS in it already."""
+_FAILED = -1
+"""Quality of a pose that its source itself takes for wrong."""
+_GROUND = 240
+"""Ids of systems from here on are of ground stations and their like, which send what a motion
+capture sees; a lower one that is not the autopilot's is another vehicle."""
+_SAME_US = 1_000_000
+"""A stamp so near to the autopilot's newest is by its clock."""
+_SKEW = 100e-6
+"""By so much of the time two clocks may run apart."""
+_SENDERS = 16
+"""Told apart, at most."""
+
+
+class _Clock:
+    """Stamps of a sender, brought to the autopilot's clock."""
+
+    def __init__(self) -> None:
+        self._offset: int | None = None
+        """What is added to a stamp, us; None: it is by the autopilot's clock."""
+        self._last = 0
+        self._is_known = False
+
+    def to_ns(self, stamp_us: int, latest_us: int) -> int:
+        """Return when it was true, given the autopilot's newest stamp."""
+        if stamp_us == 0:
+            return latest_us * 1000  # it does not say
+        lag = latest_us - stamp_us
+        if abs(lag) <= _SAME_US and (self._offset is None or not self._is_known):
+            self._is_known = True
+            return stamp_us * 1000
+        if self._offset is None or abs(lag - self._offset) > _SAME_US:
+            self._offset = lag  # the first of it, or of a clock that has leapt
+        else:
+            drift = math.ceil(_SKEW * max(stamp_us - self._last, 0))
+            self._offset = min(self._offset + drift, lag)
+        self._is_known, self._last = True, stamp_us
+        return (stamp_us + self._offset) * 1000
+
+
+class External:
+    """Reads the messages of others."""
+
+    def __init__(self, context: Context) -> None:
+        """Begin with nobody."""
+        self._context = context
+        readers: dict[str, Callable[[Any, int], Measurements]] = {
+            "ODOMETRY": self._odometry,
+            "VISION_POSITION_ESTIMATE": self._angles,
+            "GLOBAL_VISION_POSITION_ESTIMATE": self._angles,
+            "VICON_POSITION_ESTIMATE": self._angles,
+            "ATT_POS_MOCAP": self._mocap,
+            "VISION_SPEED_ESTIMATE": self._speed,
+        }
+        self.readers = {IDS[name]: reader for name, reader in readers.items()}
+        """By message id."""
+        self.used: dict[Kind, str] = {}
+        """Sender and message in use, as ``1/197 ODOMETRY``, by what it measures."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget everything after a reboot."""
+        self._senders: list[tuple[int, int, int]] = []
+        self._clocks: dict[tuple[int, int], _Clock] = {}
+        self._sources = {kind: Preference() for kind in (Kind.POSE, Kind.VELOCITY)}
+        self.used.clear()
+
+    def read(self, frame: Frame, system_id: int) -> Measurements:
+        """Return what a frame of another component measures.
+
+        Args:
+            frame: Of any message.
+            system_id: The autopilot's.
+        """
+        reader = self.readers.get(frame.message_id)
+        if reader is None:
+            return []
+        if frame.system_id != system_id and frame.system_id < _GROUND:
+            return self._context.refuse("odometry: of another vehicle")
+        latest_us = self._context.clock.latest_us
+        if latest_us is None:
+            return self._context.refuse("odometry: no time base yet")
+        source = frame.system_id, frame.component_id, frame.message_id
+        if source not in self._senders:
+            if len(self._senders) == _SENDERS:
+                return self._context.refuse("odometry: too many senders")
+            self._senders.append(source)
+        message = unpack(frame)
+        stamp_us = message.time_usec if hasattr(message, "time_usec") else message.usec
+        t_ns = self._clocks.setdefault(source[:2], _Clock()).to_ns(stamp_us, latest_us)
+        found = reader(message, t_ns)
+        rank = self._senders.index(source)
+        return [one for one in found if self._admit(one, rank, source)]
+
+    def _admit(self, one: Any, rank: int, source: tuple[int, int, int]) -> bool:
+        kind = Kind.POSE if type(one) is PoseSample else Kind.VELOCITY
+        if not self._sources[kind].admit(rank, one.t_ns):
+            return False
+        self.used[kind] = f"{source[0]}/{source[1]} {LAYOUTS[source[2]].name}"
+        return True
+
+    def _odometry(self, m: Any, t_ns: int) -> Measurements:
+        """Read ODOMETRY: a pose, and a velocity in the axes of its child frame."""
+        if m.estimator_type in _NO_AID:
+            return self._context.refuse("odometry: has GNSS in it, or is the autopilot's own")
+        if m.quality == _FAILED:
+            return self._context.refuse("odometry: failed, its source says")
+        found: Measurements = []
+        velocity = (m.vx, m.vy, m.vz)
+        std = _std(m.velocity_covariance, (0, 6, 11))
+        if (axes := _BODY.get(m.child_frame_id)) is not None:
+            found += _velocity(t_ns, velocity, axes, std, is_level=False)
+        elif (axes := _FRAMES.get(m.child_frame_id)) is not None:
+            found += _velocity(t_ns, velocity, axes, std, is_level=True)
+        if (axes := _FRAMES.get(m.frame_id)) is None:
+            self._context.refuse("odometry: a frame that moves, or is not known")
+            return found
+        yaw = _yaw(m.q, axes)
+        return self._pose_of(t_ns, (m.x, m.y, m.z), axes, yaw, m, m.pose_covariance) + found
+
+    def _angles(self, m: Any, t_ns: int) -> Measurements:
+        """Read a pose in a frame whose z points down, by Euler angles."""
+        yaw = m.yaw if math.isfinite(m.yaw) and abs(m.yaw) < 7.0 else None
+        return self._pose_of(t_ns, (m.x, m.y, m.z), _DOWN, yaw, m, m.covariance)
+
+    def _mocap(self, m: Any, t_ns: int) -> Measurements:
+        """Read ATT_POS_MOCAP."""
+        yaw = _yaw(m.q, _DOWN)
+        return self._pose_of(t_ns, (m.x, m.y, m.z), _DOWN, yaw, m, m.covariance)
+
+    def _speed(self, m: Any, t_ns: int) -> Measurements:
+        """Read VISION_SPEED_ESTIMATE: a velocity in a frame whose z points down."""
+        std = _std(m.covariance, (0, 4, 8))
+        return _velocity(t_ns, (m.x, m.y, m.z), _DOWN, std, is_level=True)
+
+    def _pose_of(
+        self,
+        t_ns: int,
+        place: Sequence[float],
+        axes: Axes,
+        yaw: float | None,
+        m: Any,
+        covariance: Sequence[float],
+    ) -> Measurements:
+        x, y, z = (sign * place[axis] for axis, sign in axes)
+        if not math.isfinite(x + y + z):
+            return []
+        return [
+            PoseSample(
+                t_ns=t_ns,
+                x=x,
+                y=y,
+                z=z,
+                yaw=yaw,
+                std=_std(covariance, (0, 6, 11)),
+                yaw_std=_std(covariance, (20,)),
+                counter=getattr(m, "reset_counter", None),
+            )
+        ]
+
+
+def _velocity(
+    t_ns: int,
+    vector: Sequence[float],
+    axes: Axes,
+    std: float | None,
+    *,
+    is_level: bool,
+) -> Measurements:
+    x, y, z = (sign * vector[axis] for axis, sign in axes)
+    if not math.isfinite(x + y + z):
+        return []
+    return [VelocitySample(t_ns=t_ns, x=x, y=y, z=z, std=std, is_level=is_level)]
+
+
+def _std(covariance: Sequence[float], diagonal: tuple[int, ...]) -> float | None:
+    """Return one sigma of some axes, their mean; None where the source does not know.
+
+    The first element says so by NaN; no camera is sure to the last digit, so zero means the same.
+    """
+    mean = sum(covariance[place] for place in diagonal) / len(diagonal)
+    return math.sqrt(mean) if math.isfinite(mean) and mean > 0.0 else None
+
+
+def _yaw(q: Sequence[float], axes: Axes) -> float | None:
+    """Return the yaw of the body's forward axis in a frame whose z points down; None: not known.
+
+    Args:
+        q: From the body to the frame, w x y z.
+        axes: How that frame becomes one whose z points down.
+    """
+    w, x, y, z = q
+    norm = w * w + x * x + y * y + z * z
+    if not 0.9 < norm < 1.1:
+        return None
+    forward = (
+        1.0 - 2.0 * (y * y + z * z) / norm,
+        2.0 * (x * y + w * z) / norm,
+        2.0 * (x * z - w * y) / norm,
+    )
+    north, east, _ = (sign * forward[axis] for axis, sign in axes)
+    return math.atan2(east, north)

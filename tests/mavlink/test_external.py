@@ -1,0 +1,241 @@
+"""Poses and velocities of other components: frames, stamps, who counts."""
+
+import math
+
+import pytest
+
+from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.second_source import POSES
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Kind, PoseSample, VelocitySample
+from tests.mavlink.conversation import MS, SECOND, Voice, met
+
+NAN = math.nan
+COVARIANCE = [0.0] * 21
+for place, value in ((0, 0.04), (6, 0.04), (11, 0.04), (20, 0.01)):
+    COVARIANCE[place] = value
+VISION = Voice(1, 197)
+TURNED = tuple(so3.from_euler(0.0, 0.0, 0.5).tolist())
+ODOMETRY = {
+    "x": 1.0,
+    "y": 2.0,
+    "z": 3.0,
+    "q": TURNED,
+    "vx": 4.0,
+    "vy": 5.0,
+    "vz": 6.0,
+    "pose_covariance": COVARIANCE,
+    "velocity_covariance": COVARIANCE,
+    "frame_id": 20,
+    "child_frame_id": 12,
+    "reset_counter": 7,
+    "estimator_type": 2,
+    "quality": 90,
+}
+
+
+class Link:
+    """A session that knows its autopilot's clock, at 10 s."""
+
+    def __init__(self, reads_others=True):
+        self.session, self.autopilot = met(reads_others=reads_others)
+        self.now_ns = 10 * SECOND
+        self.tell_time()
+
+    def tell_time(self):
+        sample = {"time_usec": self.now_ns // 1000, "zacc": -9.81, "fields_updated": 0x3F}
+        self.session.receive(self.autopilot.say("HIGHRES_IMU", **sample), self.now_ns)
+
+    def go(self, seconds):
+        self.now_ns += round(seconds * SECOND)
+        self.tell_time()
+
+    def hear(self, name, voice=VISION, **fields):
+        stamp = "time_usec" if name in ("ODOMETRY", "ATT_POS_MOCAP") else "usec"
+        said = voice.say(name, **({stamp: self.now_ns // 1000} | fields))
+        return self.session.receive(said, self.now_ns)
+
+
+def pose_and_velocity(**fields):
+    found = Link().hear("ODOMETRY", **(ODOMETRY | fields))
+    assert [type(one) for one in found] == [PoseSample, VelocitySample]
+    return found
+
+
+def test_odometry_is_a_pose_and_a_velocity_in_the_body():
+    pose, velocity = pose_and_velocity()
+    assert (pose.t_ns, pose.x, pose.y, pose.z, pose.counter) == (10 * SECOND, 1.0, 2.0, 3.0, 7)
+    assert (pose.yaw, pose.std, pose.yaw_std) == pytest.approx((0.5, 0.2, 0.1), rel=1e-6)
+    assert (velocity.x, velocity.y, velocity.z) == (4.0, 5.0, 6.0)
+    assert velocity.std == pytest.approx(0.2, rel=1e-6)
+    assert not velocity.is_level
+
+
+@pytest.mark.parametrize(
+    ("frame", "place", "yaw"),
+    [
+        *((frame, (1.0, 2.0, 3.0), 0.5) for frame in (1, 14, 16, 18, 20)),
+        (21, (1.0, -2.0, -3.0), -0.5),
+        *((frame, (2.0, 1.0, -3.0), math.pi / 2.0 - 0.5) for frame in (4, 15, 17, 19)),
+    ],
+)
+def test_every_frame_becomes_one_whose_z_points_down(frame, place, yaw):
+    pose, _ = pose_and_velocity(frame_id=frame)
+    assert (pose.x, pose.y, pose.z) == place
+    assert pose.yaw == pytest.approx(yaw, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("child", "found", "is_level"),
+    [
+        (8, (4.0, 5.0, 6.0), False),
+        (12, (4.0, 5.0, 6.0), False),
+        (13, (4.0, -5.0, -6.0), False),
+        (1, (4.0, 5.0, 6.0), True),
+        (21, (4.0, -5.0, -6.0), True),
+    ],
+)
+def test_a_velocity_is_in_its_child_frame(child, found, is_level):
+    _, velocity = pose_and_velocity(child_frame_id=child)
+    assert (velocity.x, velocity.y, velocity.z, velocity.is_level) == (*found, is_level)
+
+
+@pytest.mark.parametrize("frame", [0, 3, 9])
+def test_a_frame_that_is_none_of_them_is_refused(frame):
+    link = Link()
+    (velocity,) = link.hear("ODOMETRY", **ODOMETRY | {"frame_id": frame})
+    assert type(velocity) is VelocitySample
+    assert link.session.decoder.refused["odometry: a frame that moves, or is not known"] == 1
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"estimator_type": 4}, "has GNSS in it, or is the autopilot's own"),
+        ({"estimator_type": 5}, "has GNSS in it, or is the autopilot's own"),
+        ({"estimator_type": 8}, "has GNSS in it, or is the autopilot's own"),
+        ({"quality": -1}, "failed, its source says"),
+    ],
+)
+def test_what_has_our_sensors_in_it_or_has_failed_is_refused(fields, why):
+    link = Link()
+    assert link.hear("ODOMETRY", **ODOMETRY | fields) == []
+    assert link.session.decoder.refused == {f"odometry: {why}": 1}
+
+
+@pytest.mark.parametrize(
+    ("fields", "known"),
+    [
+        ({"q": (NAN,) * 4}, {"yaw": None}),
+        ({"q": (0.0,) * 4}, {"yaw": None}),
+        ({"pose_covariance": [NAN] * 21}, {"std": None, "yaw_std": None}),
+        ({"pose_covariance": [0.0] * 21}, {"std": None, "yaw_std": None}),
+        ({"pose_covariance": [0.04, *[NAN] * 20]}, {"std": None, "yaw_std": None}),
+    ],
+)
+def test_what_it_does_not_know_is_none(fields, known):
+    pose, _ = pose_and_velocity(**fields)
+    assert {name: getattr(pose, name) for name in known} == known
+
+
+def test_a_place_that_is_no_number_leaves_the_velocity():
+    (found,) = Link().hear("ODOMETRY", **ODOMETRY | {"x": NAN})
+    assert type(found) is VelocitySample
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["VISION_POSITION_ESTIMATE", "GLOBAL_VISION_POSITION_ESTIMATE", "VICON_POSITION_ESTIMATE"],
+)
+def test_euler_angles_and_a_place(name):
+    fields = {"x": 1.0, "y": 2.0, "z": 3.0, "yaw": 0.5, "covariance": COVARIANCE}
+    (pose,) = Link().hear(name, **fields)
+    assert (pose.x, pose.y, pose.z, pose.yaw) == (1.0, 2.0, 3.0, 0.5)
+    assert pose.std == pytest.approx(0.2)
+    assert pose.counter == (None if name.startswith("VICON") else 0)
+
+
+def test_a_pose_of_motion_capture():
+    fields = {"x": 1.0, "y": 2.0, "z": 3.0, "q": TURNED, "covariance": [NAN] * 21}
+    (pose,) = Link().hear("ATT_POS_MOCAP", **fields)
+    assert (pose.x, pose.yaw, pose.std, pose.counter) == (1.0, pytest.approx(0.5), None, None)
+
+
+def test_a_speed_is_in_a_level_frame():
+    covariance = [0.09, 0, 0, 0, 0.09, 0, 0, 0, 0.09]
+    fields = {"x": 1.0, "y": 2.0, "z": 3.0, "covariance": covariance}
+    (found,) = Link().hear("VISION_SPEED_ESTIMATE", **fields)
+    assert (found.x, found.y, found.z, found.is_level) == (1.0, 2.0, 3.0, True)
+    assert found.std == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("voice", "is_read"),
+    [
+        (Voice(1, 197), True),
+        (Voice(1, 1), False),  # the autopilot's own
+        (Voice(1, 194), False),  # ours, that came back
+        (Voice(245, 190), True),  # a ground station with motion capture
+        (Voice(2, 197), False),  # another vehicle's
+    ],
+)
+def test_who_is_listened_to(voice, is_read):
+    assert bool(Link().hear("ODOMETRY", voice, **ODOMETRY)) is is_read
+
+
+def test_nobody_is_listened_to_unless_told():
+    link = Link(reads_others=False)
+    assert link.hear("ODOMETRY", **ODOMETRY) == []
+    assert link.session.decoder.refused == {}
+
+
+def test_before_the_autopilots_clock_is_known_nothing_is_read():
+    session, _ = met(reads_others=True)
+    assert session.receive(VISION.say("ODOMETRY", time_usec=5, **ODOMETRY), 0) == []
+
+
+def test_of_two_senders_the_first_counts_until_it_is_silent():
+    link, other = Link(), Voice(1, 198)
+    counted = []
+    for k in range(200):
+        link.go(0.05)
+        for voice in [other] if k >= 100 else [VISION, other]:
+            fields = {"x": float(k), "covariance": COVARIANCE}
+            counted += [voice] * len(link.hear("VISION_POSITION_ESTIMATE", voice, **fields))
+    assert counted[:100] == [VISION] * 100
+    assert len(counted[100:]) == 100 - 60  # three seconds at 20 Hz
+    assert link.session.decoder.external.used == {Kind.POSE: "1/198 VISION_POSITION_ESTIMATE"}
+
+
+@pytest.mark.parametrize("offset_us", [0, -7_000_000, 1_780_000_000_000_000])
+def test_stamps_of_another_clock_are_brought_to_the_autopilots(offset_us):
+    """What comes late comes late: the least lag counts."""
+    link, lags = Link(), [0.0, 0.03, 0.01, 0.2, 0.0]
+    found = []
+    for lag in lags * 10:
+        for _ in range(5):
+            link.go(0.05)
+        stamp_us = link.now_ns // 1000 - round(lag * 1e6) + offset_us
+        (pose,) = link.hear("VISION_POSITION_ESTIMATE", usec=stamp_us, x=1.0)
+        found.append((link.now_ns - pose.t_ns) * 1e-9)
+    assert found == pytest.approx(lags * 10, abs=1e-4)
+
+
+def test_a_stamp_of_zero_is_the_time_of_its_arrival():
+    link = Link()
+    (pose,) = link.hear("VISION_POSITION_ESTIMATE", usec=0)
+    assert pose.t_ns == link.now_ns
+
+
+def test_a_clock_that_leaps_is_another():
+    link = Link()
+    for k in range(40):
+        link.go(0.05)
+        base = 3_000_000 if k < 20 else -900_000_000
+        (pose,) = link.hear("VISION_POSITION_ESTIMATE", usec=link.now_ns // 1000 - base)
+        assert abs(pose.t_ns - link.now_ns) < 1 * MS
+
+
+def test_all_that_it_reads_is_a_message_that_an_autopilot_may_fuse():
+    assert {*Link().session.decoder.external.readers} <= POSES
+    assert IDS["VISION_SPEED_ESTIMATE"] in POSES
