@@ -41,8 +41,8 @@ def navigating() -> State:
     x.azimuth, x.fix_t, x.raw_fix_t = Azimuth.FIELD, NOW, NOW
     for aid in range(AIDS):
         x.used_t[aid], x.refused_t[aid] = NOW, -1e18
-    root = np.random.default_rng(1).normal(0.0, 0.02, (len(x.P), CORE))
-    array(x.P)[:] = root @ root.T
+    root = np.random.default_rng(1).normal(0.0, 0.02, (CORE, CORE))
+    array(x.P)[:CORE, :CORE] = root @ root.T
     return x
 
 

@@ -15,7 +15,6 @@ from ekf_companion.core.memory.enums import (
     E_VEL,
     Aid,
     Mode,
-    N,
     NeedsReset,
     Reset,
     Verdict,
@@ -51,8 +50,8 @@ def flown(mode: Mode = Mode.NAVIGATE) -> State:
     for field in ("q_nb", "vel_n", "pos_n", "gnss_offset", "gnss_vel_offset", "gyro", "gyro_bias"):
         getattr(x, field)[:] = getattr(known, field)
     x.origin, x.t, x.mode = known.origin, NOW, mode
-    root = np.random.default_rng(2).normal(0.0, 1e-3, (N, CORE))
-    array(x.P)[:] = root @ root.T
+    root = np.random.default_rng(2).normal(0.0, 1e-3, (CORE, CORE))
+    array(x.P)[:CORE, :CORE] = root @ root.T
     x.gnss_offset_var[:], x.gnss_vel_offset_var[:] = [0.5, 2.0], [0.01, 0.01]
     return x
 
