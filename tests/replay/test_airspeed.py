@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.settings.settings import AirspeedSettings, FilterSettings
-from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import Events, Kind, VehicleState, VehicleType, merge
-from ekf_companion.replay.filters_by_name import run_filter
 from sim_autopilot import events as wire
 from sim_autopilot.config import AirspeedConfig, GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
+from tests.replay.cut import CUT, Cut
 
 WIND = (4.0, -3.0)
 WITHOUT = FilterSettings(airspeed=AirspeedSettings(use=False))
-CUT = (70.0, 130.0)
-"""Without fixes, s."""
 
 
-class Flown:
+class Flown(Cut):
     """A fixed wing in the wind, and its truth."""
+
+    sensor = Kind.AIRSPEED
 
     def __init__(self, seed=1, name="square-spiral", moves=VehicleType.FIXED_WING, **sensor):
         config = SimConfig(
@@ -29,39 +28,14 @@ class Flown:
             airspeed=AirspeedConfig(fitted=True, wind=WIND, **sensor),
         )
         flown = Flight.plan(name, config, seed=seed, duration=140.0)
-        self.truth = wire.truth(flown)
+        truth = wire.truth(flown)
         found = wire.events(flown, has_vel_down=True)
-        up_ns = int(self.truth.pos_t_ns[np.argmax(self.truth.alt > self.truth.alt[0] + 1.0)])
+        up_ns = int(truth.pos_t_ns[np.argmax(truth.alt > truth.alt[0] + 1.0)])
         states = [
             VehicleState(t_ns=t_ns, is_armed=True, is_landed=is_landed, type=moves).row()
             for t_ns, is_landed in ((int(found.t_ns[0]) + 1_000_000_000, True), (up_ns, False))
         ]
-        self.events = merge(found, Events.from_rows(states))
-        self.zero_ns = int(found.t_ns.min())
-
-    def fly(self, settings=None, change=None, cut=CUT):
-        """Return the times, s, the table, and the horizontal error and its sigma, m."""
-        events = self.events
-        t = (events.t_ns - self.zero_ns) * 1e-9
-        if change is not None:
-            is_air, values = events.kind == Kind.AIRSPEED, events.values.copy()
-            values[is_air, 0] = change(t[is_air], values[is_air, 0])
-            events = Events(t_ns=events.t_ns, kind=events.kind, values=values)
-        if cut is not None:
-            events = events.take(~((events.kind == Kind.GNSS) & (t > cut[0]) & (t < cut[1])))
-        recording = Recording(family="ardupilot", events=events)
-        self.solution = run_filter(recording, "eskf", settings or FilterSettings())
-        table = self.solution.table
-        lat, lon = (
-            np.interp(table.stamp_ns, self.truth.pos_t_ns, one)
-            for one in (self.truth.lat, self.truth.lon)
-        )
-        off = np.hypot(
-            np.radians(table.column("lat_deg")) - lat,
-            (np.radians(table.column("lon_deg")) - lon) * np.cos(lat),
-        )
-        sigma = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
-        return (table.stamp_ns - self.zero_ns) * 1e-9, table, 6.37e6 * off, sigma
+        super().__init__(merge(found, Events.from_rows(states)), truth)
 
 
 @functools.cache
@@ -70,7 +44,7 @@ def flown(seed=1):
 
 
 def test_it_finds_the_wind_of_a_flight():
-    t, table, *_ = flown().fly(cut=None)
+    t, table, *_ = flown().estimate(cut=None)
     late = t > 100.0  # after the first turn, which tells the wind from the scale
     for axis, wind in zip("ne", WIND, strict=True):
         off = table.column(f"wind_{axis}")[late] - wind
@@ -81,24 +55,25 @@ def test_it_finds_the_wind_of_a_flight():
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_without_fixes_it_drifts_by_less_than_a_third(seed):
     one = flown(seed)
-    t, _, off, sigma = one.fly()
+    t, _, off, sigma = one.estimate()
     gone = (t > CUT[0]) & (t < CUT[1])
-    *_, free, _ = one.fly(WITHOUT)
+    *_, free, _ = one.estimate(WITHOUT)
     assert off[gone].max() < free[gone].max() / 3.0
     assert (off[gone] < 3.0 * sigma[gone]).all()
 
 
 def test_of_a_vehicle_that_has_no_wings_it_is_not_used():
     for moves in (VehicleType.ROTARY, VehicleType.GROUND, VehicleType.OTHER):
-        _, table, *_ = Flown(moves=moves).fly(cut=None)
+        _, table, *_ = Flown(moves=moves).estimate(cut=None)
         assert np.isnan(table.column("wind_n")).all()
 
 
 def test_on_the_ground_and_below_the_least_airspeed_there_is_no_wind():
     one = flown()
-    t, table, *_ = one.fly(cut=None)
+    t, table, *_ = one.estimate(cut=None)
     assert np.isnan(table.column("wind_n")[t < 8.0]).all()
-    _, table, *_ = one.fly(FilterSettings(airspeed=AirspeedSettings(least_speed=60.0)), cut=None)
+    slow = FilterSettings(airspeed=AirspeedSettings(least_speed=60.0))
+    _, table, *_ = one.estimate(slow, cut=None)
     assert np.isnan(table.column("wind_n")).all()
 
 
@@ -126,8 +101,8 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_with_fixes_a_sensor_that_is_wrong_makes_nothing_worse_than_its_sigma(fault):
     one = flown()
-    t, _, off, sigma = one.fly(change=FAULTS[fault], cut=None)
-    *_, free, _ = one.fly(WITHOUT, cut=None)
+    t, _, off, sigma = one.estimate(change=FAULTS[fault], cut=None)
+    *_, free, _ = one.estimate(WITHOUT, cut=None)
     late = t > 20.0
     assert (off[late] < 4.0 * sigma[late]).all()
     assert np.sqrt(np.mean(off[late] ** 2)) < 1.2 * np.sqrt(np.mean(free[late] ** 2))
@@ -146,7 +121,7 @@ WITHIN_AN_OUTAGE = {
 @pytest.mark.parametrize("fault", WITHIN_AN_OUTAGE)
 def test_without_fixes_a_sensor_that_is_clearly_wrong_is_not_believed(fault):
     one = flown()
-    t, _, off, sigma = one.fly(change=WITHIN_AN_OUTAGE[fault])
+    t, _, off, sigma = one.estimate(change=WITHIN_AN_OUTAGE[fault])
     gone = (t > CUT[0]) & (t < CUT[1])
     assert (off[gone] < 3.0 * sigma[gone]).all()
     later = t > CUT[1] + 5.0
@@ -155,12 +130,12 @@ def test_without_fixes_a_sensor_that_is_clearly_wrong_is_not_believed(fault):
 
 def test_a_frozen_reading_is_counted_as_refused():
     one = flown()
-    one.fly(change=WITHIN_AN_OUTAGE["frozen"], cut=None)
+    one.estimate(change=WITHIN_AN_OUTAGE["frozen"], cut=None)
     _, refused = one.solution.counts["airspeed"]
     assert refused > 500
 
 
 def test_a_scale_that_can_be_none_leaves_no_wind():
-    t, table, *_ = flown().fly(change=FAULTS["half"], cut=None)
+    t, table, *_ = flown().estimate(change=FAULTS["half"], cut=None)
     assert np.isfinite(table.column("wind_n")[t < 50.0]).any()
     assert np.isnan(table.column("wind_n")[t > 80.0]).all()
