@@ -50,15 +50,15 @@ def test_a_reset_holds_no_offset_and_knows_that_it_may_be_there():
     x, b = a_state(1), Bank()
     x.gnss_offset_var[:] = [0.5, 2.0]
     b.held[:], b.drift[:] = [3.0, -4.0, 6.0, 7.0], [0.1, 0.2, 0.3, 0.4]
-    load().repair.let_go(x, b, 0, 1)
-    assert list(b.held) == [0.0, 0.0, 6.0, 7.0]
-    assert list(b.drift) == [0.0, 0.0, 0.3, 0.4]
-    assert list(b.let_go) == [25.0, 0.0]
-    assert list(x.gnss_offset_var) == [25.5, 2.0]
+    load().repair.let_go(x, b)
+    assert list(b.held) == [0.0, 0.0, 0.0, 7.0]
+    assert list(b.drift) == [0.0, 0.0, 0.0, 0.4]
+    assert list(b.let_go) == [25.0, 36.0]
+    assert list(x.gnss_offset_var) == [25.5, 38.0]
     # it counts at the next fix too, and is forgotten within minutes
     x.gnss_offset_var[:] = [0.5, 2.0]
     load().fix.widen_offsets(x, b)
-    assert list(x.gnss_offset_var) == [25.5, 2.0]
+    assert list(x.gnss_offset_var) == [25.5, 38.0]
     x.fix_dt = 300.0
     load().repair.drive(x, b, 0, 2)
     assert b.let_go[0] < 0.2

@@ -21,7 +21,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
-from cython.cimports.ekf_companion.core.memory.constants import NAN
+from cython.cimports.ekf_companion.core.memory.constants import NAN, UPRIGHT
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_OPTICAL_FLOW,
     AID_RANGE_FINDER,
@@ -50,8 +50,6 @@ TURN = cython.declare(cython.int, 6)
 LEAST_QUALITY = cython.declare(cython.int, 7)
 LOWEST = cython.declare(cython.int, 8)
 """Places of the settings."""
-UPRIGHT = cython.declare(cython.double, 0.7071)
-"""Least cosine of the tilt: 45 deg, as ArduPilot's ``DCM33FlowMin`` has it."""
 TURNING = cython.declare(cython.double, 0.1)
 """Share of a rate of turn that remains in the flow: of the axes, of the gyro's scale and time. Of a
 PX4FLOW on a quadrotor 0.03 of roll and pitch and 0.15 of yaw."""

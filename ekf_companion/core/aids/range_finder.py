@@ -7,9 +7,9 @@ none of level flight: by the tilt of then no range can be judged.
 
 from __future__ import annotations
 
-import cython
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.slow_error import copy_error
+from cython.cimports.ekf_companion.core.memory.constants import UPRIGHT
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_RANGE_FINDER,
     E_ATT,
@@ -25,10 +25,6 @@ from cython.cimports.libc.math import isnan
 
 from ekf_companion.core.memory.aid import SlowError, Value, aid
 from ekf_companion.nav.measurements import Kind
-
-UPRIGHT = cython.declare(cython.double, 0.7071)
-"""Least cosine of the tilt at which the beam is taken to meet the ground below: 45 deg, as both
-autopilots have it (PX4's ``range_cos_max_tilt``, ArduPilot's ``DCM33FlowMin``)."""
 
 
 @aid(

@@ -29,6 +29,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import (
     set_variance,
 )
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VISUAL_ODOMETRY,
     E_ATT,
@@ -83,8 +84,6 @@ LEAP_SIGMAS2 = cython.declare(cython.double, 150.0)
 poses, in three axes."""
 MEMORY = cython.declare(cython.double, 30.0)
 """Poses that the noise is learnt over."""
-LARGEST_TERM = cython.declare(cython.double, 9.0)
-"""Most that one of them shows, in variances."""
 TURNED = cython.declare(cython.double, 0.02)
 """Sum of the squares of its turns between two poses by which these are judged, rad^2: a turn to
 one side and back by 30 deg within two seconds."""
@@ -381,7 +380,7 @@ def is_new_frame(x: State, k: Parameters, row: Vector, o: Observation) -> bool:
         apart = o.y[i] - (x.pos_n[i] - x.visual_odometry_ours[i])
         off += apart * apart
     noise = variance(x, k)
-    seen = off / 6.0 if off / 6.0 < LARGEST_TERM * noise else LARGEST_TERM * noise
+    seen = off / 6.0 if off / 6.0 < THREE_SIGMA2 * noise else THREE_SIGMA2 * noise
     if x.visual_odometry_noise == 0.0:
         x.visual_odometry_noise = noise
     x.visual_odometry_noise += (seen - x.visual_odometry_noise) / MEMORY

@@ -58,13 +58,18 @@ def keep_velocity(x: State) -> None:
 def look_back(x: State, late: float, then: Then) -> None:
     """Write what the motion was some time ago, s: velocity gained until and since, acceleration."""
     t = x.t - late * 1e9
-    gained_until(x, t - HALF * 1e9, then.until)
-    gained_until(x, t + HALF * 1e9, then.accel_n)
-    for i in range(3):
-        then.accel_n[i] = (then.accel_n[i] - then.until[i]) / (2.0 * HALF)
+    acceleration_at(x, t, then.until, then.accel_n)
     gained_until(x, t, then.until)
     for i in range(3):
         then.since[i] = x.past.gained[i] - then.until[i]
+
+
+def acceleration_at(x: State, t: float, before: Vector, accel_n: Vector) -> None:
+    """Write the mean acceleration about a time, ns; ``before`` is working memory."""
+    gained_until(x, t - HALF * 1e9, before)
+    gained_until(x, t + HALF * 1e9, accel_n)
+    for i in range(3):
+        accel_n[i] = (accel_n[i] - before[i]) / (2.0 * HALF)
 
 
 def gained_until(x: State, t: float, gained: Vector) -> None:

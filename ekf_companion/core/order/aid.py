@@ -33,14 +33,12 @@ from cython.cimports.ekf_companion.core.trust import gate, repair, shape, voices
 DOUBTED = cython.declare(cython.double, 30.0)
 """Doubt in the samples beyond which it is an aid's speed that is wrong, not they: with wheels that
 turn as they should it was up to 17."""
-FRESH = cython.declare(cython.double, 2e9)
-"""Time since the last fix up to which its velocity speaks against an aid's, ns."""
 MEMORY = cython.declare(cython.double, 20.0)
 """Measurements over which the share of the refused ones is formed."""
 HALF = cython.declare(cython.double, 0.5)
 """Share beyond which those that pass do so by chance."""
 ALONE = cython.declare(cython.double, 2.0)
-"""Time without a position of the receiver after which ours owes to other aids, s."""
+"""Time without the receiver after which it neither speaks against an aid nor holds ours, s."""
 STARTS = cython.declare(cython.double, 2.0)
 """Of what an aid shows: a position to start from."""
 WAIT_FOR_FIX = cython.declare(cython.double, 5e9)
@@ -188,7 +186,7 @@ def is_persistent(x: State, k: Parameters, o: Observation, aid: int, nis: float)
     """
     patience = k.aid[aid].patience
     is_wrong = cython.declare(cython.bint, patience > 0.0 and x.doubtful[aid] > patience)
-    is_alone = cython.declare(cython.bint, x.t - x.used_t[AID_VELOCITY] > FRESH)
+    is_alone = cython.declare(cython.bint, gate.is_timed_out(x, AID_VELOCITY, ALONE))
     if nis > k.soft_gate[o.rows - 1]:
         x.doubtful[aid] += 1.0
     elif not (is_wrong and is_alone and k.aid[aid].yields == 0.0):
@@ -198,7 +196,7 @@ def is_persistent(x: State, k: Parameters, o: Observation, aid: int, nis: float)
 
 def is_outvoted(x: State, k: Parameters, aid: int) -> bool:
     """Return whether the receiver's velocity, which comes, contradicts an aid's."""
-    if k.aid[aid].yields == 0.0 or x.t - x.fix_t > FRESH:
+    if k.aid[aid].yields == 0.0 or x.t - x.fix_t > ALONE * 1e9:
         return False
     return x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY] or x.doubt > DOUBTED
 

@@ -359,13 +359,13 @@ def hold(b: Bank, axis: int, offset: float) -> None:
     b.drift[axis] = 0.0
 
 
-def let_go(x: State, b: Bank, first: int, last: int) -> None:
+def let_go(x: State, b: Bank) -> None:
     """Hold no offset of a position that is drawn anew beside an attitude that was wrong.
 
     Whether there ever was that fault nothing shows any more: what was known of it is forgotten with
     the hypotheses. So the whole of it may be there, or none, until such a fault is over.
     """
-    for axis in range(first, last + 1):
+    for axis in range(3):
         square = b.held[axis] * b.held[axis]
         b.let_go[0 if axis < 2 else 1] += square
         x.gnss_offset_var[0 if axis < 2 else 1] += square

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.filter.past import gained_until
+from cython.cimports.ekf_companion.core.filter.past import acceleration_at, gained_until
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
@@ -70,8 +70,6 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search
 from cython.cimports.libc.math import exp
 
-SLOPE = cython.declare(cython.double, 60e6)
-"""Half the time over which an acceleration is a mean, ns: as :mod:`~.filter.past` has it."""
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
@@ -228,13 +226,12 @@ def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm)
     t = x.t - x.gnss_delay * 1e9
     gained_until(x, t - 0.5e9 * later, b.trial.gain)
     gained_until(x, t - later * 1e9, b.trial.b)
-    gained_until(x, t - later * 1e9 - SLOPE, b.trial.M[0])
-    gained_until(x, t - later * 1e9 + SLOPE, b.trial.M[1])
+    acceleration_at(x, t - later * 1e9, b.trial.M[0], b.trial.M[1])
     for r in range(o.rows):
         axis = r if aid != AID_HEIGHT else 2
         now = x.past.gained[axis] - x.vel_n[axis]
         if aid == AID_VELOCITY:
-            slope = (b.trial.M[0][axis] - b.trial.M[1][axis]) / (2e-9 * SLOPE)
+            slope = -b.trial.M[1][axis]
             whole = b.trial.b[axis] - o.then.until[axis]
         else:
             slope = now - b.trial.b[axis]
