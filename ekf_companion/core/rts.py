@@ -43,7 +43,6 @@ from cython.cimports.ekf_companion.core.memory.overlay import (
     as_records,
     as_state,
     as_states,
-    bank_size,
     copy_state,
 )
 from cython.cimports.ekf_companion.core.memory.scratch import (
@@ -59,6 +58,7 @@ from cython.cimports.ekf_companion.core.order import step
 from cython.cimports.ekf_companion.core.output.estimate import write_estimate
 from cython.cimports.libc.math import sqrt
 
+from ekf_companion.core.memory.packing import pack, unpack
 from ekf_companion.nav.arrays import Table
 
 KNOWN = cython.declare(cython.double, 1e-12)
@@ -92,12 +92,12 @@ class Smoother:
         """Return a copy of the fault hypotheses after what was run last; empty: there are none."""
         if not self.w.observation.has_bank:
             return np.zeros(0)
-        return np.array(self.bank_table[0, : bank_size(address(self.w.observation.bank[0]))])
+        return pack(np.asarray(self.bank_table[0]))
 
     def set_bank(self, bank: Numbers) -> None:
         """Run on from other fault hypotheses, as :meth:`bank` returned them."""
-        self.bank_table[0, :] = 0.0
-        self.bank_table[0, : bank.shape[0]] = bank
+        if self.w.observation.has_bank:
+            np.asarray(self.bank_table)[0] = unpack(np.asarray(bank))
 
     def advance(self, block: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Run the filter over rows in order of time, without a tape.

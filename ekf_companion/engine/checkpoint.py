@@ -31,10 +31,11 @@ from ekf_companion.config.service import CheckpointConfig
 from ekf_companion.core.memory import bank as declared_bank
 from ekf_companion.core.memory import enums
 from ekf_companion.core.memory import state as declared_state
-from ekf_companion.core.memory.bank import BANK, FOUND, INSTANCES
+from ekf_companion.core.memory.bank import FOUND
 from ekf_companion.core.memory.declare import pxd
 from ekf_companion.core.memory.enums import Fault, Mode, Reset
-from ekf_companion.core.memory.overlay import as_banks, as_state, bank_size, errors
+from ekf_companion.core.memory.overlay import as_banks, as_state, errors
+from ekf_companion.core.memory.packing import unpack
 from ekf_companion.core.memory.scratch import ROW
 from ekf_companion.core.memory.state import BLOCK, Alignment, Field
 from ekf_companion.core.settings.settings import HABITS
@@ -298,17 +299,14 @@ def _bank(data: bytes) -> Array:
     """Return fault hypotheses in the bytes behind a state; empty: there are none of this layout."""
     none = np.zeros(0)
     found = np.frombuffer(data[len(BANK_LAYOUT) :], dtype="<f8").astype(np.float64)
-    if data[: len(BANK_LAYOUT)] != BANK_LAYOUT or len(found) > BANK:
+    if data[: len(BANK_LAYOUT)] != BANK_LAYOUT or not len(found):
         return none
-    numbers = np.zeros(BANK)
-    numbers[: len(found)] = found
-    banks: Any = as_banks(numbers[None])
+    try:
+        banks: Any = as_banks(unpack(found)[None])
+    except ValueError:
+        return none
     bank = banks[0]
-    if (
-        not 0 <= bank.n <= INSTANCES
-        or bank_size(bank) != len(found)
-        or not 0 <= bank.finds <= FOUND
-    ):
+    if not 0 <= bank.finds <= FOUND:
         return none
     kinds = {bank.found[i].kind for i in range(bank.finds)}
     kinds |= {bank.instance[i].kind for i in range(bank.n)}

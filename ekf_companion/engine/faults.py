@@ -52,6 +52,8 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
     Fault.HALT: ("GNSS position slides no more, by {:.0f} % of its rate", 100.0),
     Fault.HALT_HEIGHT: ("GNSS height slides no more, by {:.0f} % of its rate", 100.0),
     Fault.HALT_BARO: ("barometer slides no more, by {:.0f} % of its rate", 100.0),
+    Fault.FADE: ("GNSS position settles again, by {:.0f} % of its error", 100.0),
+    Fault.FADE_HEIGHT: ("GNSS height settles again, by {:.0f} % of its error", 100.0),
 }
 """What each is called, and its size in the unit of the words."""
 
@@ -87,8 +89,13 @@ OPENED = (
 )
 """Sources whose readings correct nothing while one of them is suspected, with ``weigh_faults:
 act``; so decides ``hypotheses.open_rows``, but while the inertial noise leaps."""
-ENDS = (Fault.RECOVERY, Fault.RECOVERY_HEIGHT, Fault.HALT, Fault.HALT_HEIGHT, Fault.HALT_BARO)
+ENDS = (
+    *(Fault.RECOVERY, Fault.RECOVERY_HEIGHT, Fault.HALT, Fault.HALT_HEIGHT, Fault.HALT_BARO),
+    *(Fault.FADE, Fault.FADE_HEIGHT),
+)
 """Of what was found these are no faults."""
+OF_ONE_SIZE = (Fault.DELAY, Fault.FADE, Fault.FADE_HEIGHT)
+"""Their other component is no part of the size: what a delay is about, how fast it fades."""
 
 
 class FoundFault(NamedTuple):
@@ -112,13 +119,19 @@ class FoundFault(NamedTuple):
         return FAULTS[self.kind].source
 
     @property
+    def components(self) -> int:
+        """How many numbers its size has."""
+        return 1 if self.kind in OF_ONE_SIZE else FAULTS[self.kind].rows
+
+    @property
     def size_words(self) -> tuple[str, str]:
         """What it is with its size, and one sigma of that in the same unit."""
         text, scale = WORDS[self.kind]
-        size = float(np.linalg.norm(self.size))
+        parts = self.size[: self.components]
+        size = float(np.linalg.norm(parts))
         # of the size along the fault
-        along = np.divide(self.size, size) if size > 0.0 else np.ones(3) / math.sqrt(3.0)
-        std = float(np.linalg.norm(along * self.std))
+        along = np.divide(parts, size) if size > 0.0 else np.full(len(parts), len(parts) ** -0.5)
+        std = float(np.linalg.norm(along * self.std[: self.components]))
         digits = text[text.index("{") : text.index("}") + 1]
         return text.format(scale * size), digits.format(scale * std)
 
@@ -136,13 +149,12 @@ class FoundFault(NamedTuple):
 
     def to_dict(self, first_ns: int) -> dict[str, Any]:
         """Return it for JSON, in the unit of its kind, with times in s, counted from a stamp."""
-        rows = FAULTS[self.kind].rows
         return {
             "source": self.source.name.lower(),
             "kind": self.kind.name.lower(),
             "words": self.size_words[0],
-            "size": list(self.size[:rows]),
-            "std": list(self.std[:rows]),
+            "size": list(self.size[: self.components]),
+            "std": list(self.std[: self.components]),
             "from_s": (self.onset_ns - first_ns) * 1e-9,
             "to_s": (self.until_ns - first_ns) * 1e-9,
             "evidence": self.evidence,

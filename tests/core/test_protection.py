@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.bank import BANK
 from ekf_companion.core.memory.enums import E_POS, Shows, Source
 from ekf_companion.core.memory.overlay import as_banks, as_parameters, as_state
+from ekf_companion.core.memory.packing import unpack
 from ekf_companion.core.memory.scratch import OUT
 from ekf_companion.core.order.timeline import Timeline
 from ekf_companion.core.settings.faults import FAULTS
@@ -49,8 +49,7 @@ def sampled(pipeline: Pipeline, count: int, seed: int) -> tuple[np.ndarray, np.n
     """
     rng = np.random.default_rng(seed)
     state = pipeline.state()
-    x, memory = as_state(state.block), np.zeros((1, BANK))
-    memory[0, : len(state.bank)] = state.bank
+    x, memory = as_state(state.block), unpack(state.bank)[None]
     bank = as_banks(memory)[0]
     shows, p, means, roots = [], [], [], []
     for i in range(bank.n):
@@ -61,7 +60,7 @@ def sampled(pipeline: Pipeline, count: int, seed: int) -> tuple[np.ndarray, np.n
         U = np.zeros((3, prior.rows))
         for c in range(prior.rows):
             ahead = np.zeros(9)
-            load().columns.look_ahead(bank, h.U[c], ahead)
+            load().columns.look_ahead(bank, i, c, ahead)
             U[:, c] = ahead[E_POS : E_POS + 3]
         rows = slice(prior.rows)
         shows.append(prior.shows)

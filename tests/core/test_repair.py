@@ -5,11 +5,12 @@ import pytest
 
 from ekf_companion.core.memory.bank import Bank
 from ekf_companion.core.memory.enums import Fault
+from ekf_companion.core.memory.scratch import Observation
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import SIGMA
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
-from tests.core.states import a_state
+from tests.core.states import a_state, some_parameters
 from tests.core.test_hypotheses import BEGIN, METRE, pipeline
 
 END = 75.0
@@ -47,10 +48,10 @@ def test_a_slide_that_stops_is_held_where_it_was(kind, column, slope, halt, seed
 
 
 def test_a_reset_holds_no_offset_and_knows_that_it_may_be_there():
-    x, b = a_state(1), Bank()
+    x, b, o, k = a_state(1), Bank(), Observation(), some_parameters()
     x.gnss_offset_var[:] = [0.5, 2.0]
     b.held[:], b.drift[:] = [3.0, -4.0, 6.0, 7.0], [0.1, 0.2, 0.3, 0.4]
-    load().repair.let_go(x, b)
+    load().repair.let_go(x, k, b, o)
     assert list(b.held) == [0.0, 0.0, 0.0, 7.0]
     assert list(b.drift) == [0.0, 0.0, 0.0, 0.4]
     assert list(b.let_go) == [25.0, 36.0]

@@ -8,7 +8,15 @@ import pytest
 from ekf_companion.core.memory.enums import Fault, Source
 from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
-from ekf_companion.engine.faults import ENDS, SOURCES, WORDS, FoundFault, by_source, suspicions
+from ekf_companion.engine.faults import (
+    ENDS,
+    OF_ONE_SIZE,
+    SOURCES,
+    WORDS,
+    FoundFault,
+    by_source,
+    suspicions,
+)
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind
 from tests.core.flights import between, changed, flight
@@ -81,7 +89,7 @@ def test_a_source_that_is_hardly_wrong_is_left_out():
 
 @pytest.mark.parametrize("kind", list(WORDS))
 def test_each_fault_says_its_size_and_a_sigma_in_the_same_unit(kind):
-    rows = FAULTS[kind].rows
+    rows = 1 if kind in OF_ONE_SIZE else FAULTS[kind].rows
     size = [0.3, 0.4, 1.2][:rows] + [0.0] * (3 - rows)
     std = [0.05] * rows + [0.0] * (3 - rows)
     one = FoundFault(kind, 10**10, 2 * 10**10, tuple(size), tuple(std), 12.0)

@@ -5,6 +5,10 @@ was really taken: ``U <- Phi U`` between, ``U <- U - K (H U + D)`` at a correcti
 the fault adds to the reading itself. The transitions of many samples are multiplied up first, and
 the columns follow by all at once when a reading comes.
 
+The same number of all instances lies in a row, so that each step is one pass over such rows:
+``U[component][error state][instance]``, ``T[component][row][instance]``. Instances of more
+components stand before those of fewer, so that each component has a row without gaps.
+
 Source: Friedland 1969 (separated bias), in the form of Willsky and Jones 1976.
 """
 
@@ -29,7 +33,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_STEP,
     N,
 )
-from cython.cimports.ekf_companion.core.memory.overlay import Vector
+from cython.cimports.ekf_companion.core.memory.overlay import Vector, columns_of, copy_bank
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Motion, Observation
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -43,11 +47,13 @@ def stand(b: Bank) -> None:
         b.Phi[i][i] = 1.0
     for i in range(3):
         b.faded[i] = 1.0
+    b.has_moved = 0
 
 
 def move(b: Bank, k: Parameters, m: Motion, dt: float) -> None:
     """Multiply in the transition over which P was just carried on; see ``covariance``."""
     h = 0.5 * dt
+    b.has_moved = 1
     for i in range(3):
         for j in range(MOVING):
             force = 0.0
@@ -72,85 +78,127 @@ def move(b: Bank, k: Parameters, m: Motion, dt: float) -> None:
         b.faded[2] *= k.gnss_vel_offset_time / (m.slow_dt + k.gnss_vel_offset_time)
 
 
+def with_component(b: Bank, c: int) -> int:
+    """Return how many instances have more than so many components: the first ones."""
+    if c == 0:
+        return b.n
+    return b.pairs if c == 1 else b.triples
+
+
+def add_row(to: Vector, factor: float, of: Vector, n: int) -> None:
+    """Add a multiple of a row to another one."""
+    for i in range(n):
+        to[i] += factor * of[i]
+
+
+def add_rows(
+    to: Vector, f0: float, f1: float, f2: float, u0: Vector, u1: Vector, u2: Vector, n: int
+) -> None:
+    """Add multiples of three rows to another one."""
+    for i in range(n):
+        to[i] += f0 * u0[i] + f1 * u1[i] + f2 * u2[i]
+
+
+def scale_row(row: Vector, factor: float, n: int) -> None:
+    """Multiply a row."""
+    for i in range(n):
+        row[i] *= factor
+
+
 def follow(x: State, b: Bank) -> None:
     """Let all columns follow the state's motion, and what was drawn anew meanwhile."""
-    for i in range(b.n):
-        h = address(b.instance[i])
-        for c in range(h.rows):
-            follow_column(b, h.U[c])
+    if b.has_moved != 0:
+        for c in range(3):
+            follow_component(b, c, with_component(b, c))
     for e in range(N):
         if x.redrawn[e] != b.redrawn[e]:
             b.redrawn[e] = x.redrawn[e]
-            # a copy of an error and a reading has the fault of both in it; nothing else owes to
-            # what was before
-            source = cython.cast(cython.Py_ssize_t, x.copied[e])
-            for i in range(b.n):
-                h = address(b.instance[i])
-                for c in range(h.rows):
-                    h.U[c][e] = h.U[c][source] if source >= 0 else 0.0
-                if e == E_BARO and h.kind == FAULT_BARO_STEP:
-                    h.U[0][e] -= 1.0
-                elif e == E_BARO and h.kind == FAULT_BARO_RAMP:
-                    h.U[0][e] -= (x.t - h.t0) * 1e-9
-    stand(b)
+            draw_anew(x, b, e)
+    if b.has_moved != 0:
+        stand(b)
 
 
-def follow_column(b: Bank, u: Vector) -> None:
-    """Let one column follow."""
-    look_ahead(b, u, b.work)
-    for i in range(9):
-        u[i] = b.work[i]
-    u[E_HEADING] *= b.faded[0]
+def draw_anew(x: State, b: Bank, e: int) -> None:
+    """Let the columns of an error state begin anew.
+
+    A copy of an error and a reading has the fault of both in it; nothing else owes to what was
+    before.
+    """
+    source = cython.cast(cython.Py_ssize_t, x.copied[e])
+    for c in range(3):
+        for i in range(with_component(b, c)):
+            b.U[c][e][i] = b.U[c][source][i] if source >= 0 else 0.0
+    if e == E_BARO:
+        for i in range(b.n):
+            h = address(b.instance[i])
+            if h.kind == FAULT_BARO_STEP:
+                b.U[0][e][i] -= 1.0
+            elif h.kind == FAULT_BARO_RAMP:
+                b.U[0][e][i] -= (x.t - h.t0) * 1e-9
+
+
+def follow_component(b: Bank, c: int, n: int) -> None:
+    """Let the columns of one component of n instances follow; what owes to others comes first."""
+    if n == 0:
+        return
+    for i in range(E_POS, E_POS + 3):
+        add_row(b.U[c][i], b.Phi[i][E_VEL + i - E_POS], b.U[c][E_VEL + i - E_POS], n)
+        add_moved(b, c, i, E_ATT, n)
+        add_moved(b, c, i, E_BG, n)
+        add_moved(b, c, i, E_BA, n)
+    for i in range(E_VEL, E_VEL + 3):
+        add_moved(b, c, i, E_ATT, n)
+        add_moved(b, c, i, E_BG, n)
+        add_moved(b, c, i, E_BA, n)
+    for i in range(E_ATT, E_ATT + 3):
+        add_moved(b, c, i, E_BG, n)
+    scale_row(b.U[c][E_HEADING], b.faded[0], n)
     for i in range(3):
-        u[E_GNSS + i] *= b.faded[1]
-        u[E_GNSS_VEL + i] *= b.faded[2]
+        scale_row(b.U[c][E_GNSS + i], b.faded[1], n)
+        scale_row(b.U[c][E_GNSS_VEL + i], b.faded[2], n)
 
 
-def look_ahead(b: Bank, u: Vector, out: Vector) -> None:
+def add_moved(b: Bank, c: int, i: int, j: int, n: int) -> None:
+    """Add to the columns of an error state what owes to three others, from the j-th on."""
+    add_rows(
+        b.U[c][i],
+        b.Phi[i][j],
+        b.Phi[i][j + 1],
+        b.Phi[i][j + 2],
+        b.U[c][j],
+        b.U[c][j + 1],
+        b.U[c][j + 2],
+        n,
+    )
+
+
+def look_ahead(b: Bank, i: int, c: int, out: Vector) -> None:
     """Write attitude, velocity and position of a column as of now; the column stays behind."""
-    for i in range(3):
-        turn = u[E_ATT + i]
-        vel = u[E_VEL + i]
-        pos = u[E_POS + i] + b.Phi[E_POS + i][E_VEL + i] * vel
-        for r in range(3):
-            turn += b.Phi[E_ATT + i][E_BG + r] * u[E_BG + r]
-            vel += (
-                b.Phi[E_VEL + i][E_ATT + r] * u[E_ATT + r]
-                + b.Phi[E_VEL + i][E_BG + r] * u[E_BG + r]
-                + b.Phi[E_VEL + i][E_BA + r] * u[E_BA + r]
-            )
-            pos += (
-                b.Phi[E_POS + i][E_ATT + r] * u[E_ATT + r]
-                + b.Phi[E_POS + i][E_BG + r] * u[E_BG + r]
-                + b.Phi[E_POS + i][E_BA + r] * u[E_BA + r]
-            )
-        out[E_ATT + i] = turn
-        out[E_VEL + i] = vel
-        out[E_POS + i] = pos
+    for e in range(9):
+        out[e] = b.U[c][e][i]
+        if b.has_moved != 0:
+            for j in range(MOVING):
+                if j != e:
+                    out[e] += b.Phi[e][j] * b.U[c][j][i]
 
 
-def observe(x: State, b: Bank, o: Observation) -> None:
+def observe(b: Bank, o: Observation, n: int) -> None:
     """Write into T what each component does to the rows of an observation, by the state: H U."""
-    for i in range(b.n):
+    for c in range(3):
+        many = with_component(b, c)
         for r in range(o.rows):
-            for c in range(3):
-                b.T[i][r][c] = 0.0
-    n = carried(x)
-    for r in range(o.rows):
-        for e in range(n):
-            slope = o.H[r][e]
-            if slope != 0.0:
-                for i in range(b.n):
-                    h = address(b.instance[i])
-                    for c in range(h.rows):
-                        b.T[i][r][c] += slope * h.U[c][e]
+            for i in range(many):
+                b.T[c][r][i] = 0.0
+            for e in range(n):
+                if o.H[r][e] != 0.0:
+                    add_row(b.T[c][r], o.H[r][e], b.U[c][e], many)
 
 
 def take_rows(x: State, b: Bank, o: Observation) -> None:
     """Take T for a correction: as it was judged, or else by the state alone."""
     if b.is_observed == 0:
         follow(x, b)
-        observe(x, b, o)
+        observe(b, o, carried(x))
     b.is_observed = 0
 
 
@@ -162,52 +210,92 @@ def correct(x: State, o: Observation) -> None:
     """
     b = address(o.bank[0])
     take_rows(x, b, o)
-    n = carried(x)
-    for i in range(b.n):
-        h = address(b.instance[i])
-        for c in range(h.rows):
-            delay = h.U[c][E_DELAY]
+    states = carried(x)
+    for c in range(3):
+        n = with_component(b, c)
+        for r in range(o.rows):
+            for j in range(r):
+                add_row(b.T[c][r], -o.L[r][j], b.T[c][j], n)
+            scale_row(b.T[c][r], 1.0 / o.L[r][r], n)
+        for e in range(states):
+            if e == E_DELAY and o.shows_delay == 0:
+                continue
             for r in range(o.rows):
-                s = b.T[i][r][c]
-                for j in range(r):
-                    s -= o.L[r][j] * b.T[i][j][c]
-                s /= o.L[r][r]
-                b.T[i][r][c] = s
-                for e in range(n):
-                    h.U[c][e] -= o.PHt[r][e] * s
-            if o.shows_delay == 0:
-                h.U[c][E_DELAY] = delay
-            turn(h.U[c], o.dx)
+                add_row(b.U[c][e], -o.PHt[r][e], b.T[c][r], n)
+        turn_rows(b, c, o.dx, n)
 
 
 def correct_yaw(x: State, o: Observation) -> None:
     """The same of a correction of yaw alone, by ``o.gain``."""
     b = address(o.bank[0])
     take_rows(x, b, o)
-    n = carried(x)
-    for i in range(b.n):
-        h = address(b.instance[i])
-        for c in range(h.rows):
-            for e in range(n):
-                h.U[c][e] -= o.gain[e] * b.T[i][0][c]
-            turn(h.U[c], o.dx)
+    states = carried(x)
+    for c in range(3):
+        n = with_component(b, c)
+        for e in range(states):
+            if o.gain[e] != 0.0:
+                add_row(b.U[c][e], -o.gain[e], b.T[c][0], n)
+        turn_rows(b, c, o.dx, n)
 
 
 def correct_delay(x: State, o: Observation, gain: float) -> None:
     """The same of a correction of the fixes' delay alone, by its gain."""
     b = address(o.bank[0])
     take_rows(x, b, o)
-    for i in range(b.n):
-        h = address(b.instance[i])
-        for c in range(h.rows):
-            h.U[c][E_DELAY] -= gain * b.T[i][0][c]
+    for c in range(3):
+        add_row(b.U[c][E_DELAY], -gain, b.T[c][0], with_component(b, c))
 
 
-def turn(u: Vector, dx: Vector) -> None:
-    """Turn a column's attitude as the error was, when dx was moved into the state."""
-    p0 = u[0]
-    p1 = u[1]
-    p2 = u[2]
-    u[0] = p0 + 0.5 * (dx[1] * p2 - dx[2] * p1)
-    u[1] = p1 + 0.5 * (dx[2] * p0 - dx[0] * p2)
-    u[2] = p2 + 0.5 * (dx[0] * p1 - dx[1] * p0)
+def turn_rows(b: Bank, c: int, dx: Vector, n: int) -> None:
+    """Turn the attitude of n columns as the error was, when dx was moved into the state."""
+    for i in range(n):
+        turn(b, c, i, dx)
+
+
+def turn(b: Bank, c: int, i: int, dx: Vector) -> None:
+    """Turn a column's attitude likewise."""
+    p0 = b.U[c][0][i]
+    p1 = b.U[c][1][i]
+    p2 = b.U[c][2][i]
+    b.U[c][0][i] = p0 + 0.5 * (dx[1] * p2 - dx[2] * p1)
+    b.U[c][1][i] = p1 + 0.5 * (dx[2] * p0 - dx[0] * p2)
+    b.U[c][2][i] = p2 + 0.5 * (dx[0] * p1 - dx[1] * p0)
+
+
+def save(to: Bank, b: Bank, n: int) -> None:
+    """Copy a bank for later, without what is empty: the columns of n error states, close together.
+
+    Those of the error states beyond are zero: no correction has moved them yet.
+    """
+    copy_bank(to, b)
+    to.carried = n
+    flat = columns_of(to)
+    at = 0
+    for c in range(3):
+        many = with_component(b, c)
+        for e in range(n):
+            for i in range(many):
+                flat[at + i] = b.U[c][e][i]
+            at += many
+
+
+def load(b: Bank, saved: Bank) -> None:
+    """Go on with a bank that was saved."""
+    copy_bank(b, saved)
+    flat = columns_of(saved)
+    at = 0
+    for c in range(3):
+        many = with_component(b, c)
+        for e in range(N):
+            for i in range(many):
+                b.U[c][e][i] = flat[at + i] if e < saved.carried else 0.0
+            at += many if e < saved.carried else 0
+
+
+def copy_saved(to: Bank, saved: Bank) -> None:
+    """Copy a bank that was saved."""
+    copy_bank(to, saved)
+    flat = columns_of(saved)
+    copied = columns_of(to)
+    for i in range(saved.carried * (saved.n + saved.pairs + saved.triples)):
+        copied[i] = flat[i]

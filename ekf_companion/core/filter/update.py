@@ -10,10 +10,11 @@ Source: Maybeck 1979, vol. 1, chapters 5 and 7; reset of the attitude error: Sol
 from __future__ import annotations
 
 import cython
+from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.rotation import rotate
 from cython.cimports.ekf_companion.core.filter.slow_error import carried
-from cython.cimports.ekf_companion.core.memory.bank import Instance
+from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
@@ -174,14 +175,15 @@ def apply_delay_update(x: State, o: Observation) -> None:
         columns.correct_delay(x, o, gain)
 
 
-def add_columns(x: State, h: Instance, off: Vector, weight: float) -> None:
+def add_columns(x: State, b: Bank, fault: int, off: Vector, weight: float) -> None:
     """Add a share of a fault's uncertainty to P: U M U', and that its mean is off by N numbers."""
+    h = address(b.instance[fault])
     for c in range(h.rows):
         for d in range(h.rows):
             for i in range(N):
-                s = weight * h.U[c][i] * h.M[c][d]
+                s = weight * b.U[c][i][fault] * h.M[c][d]
                 for j in range(N):
-                    x.P[i][j] += s * h.U[d][j]
+                    x.P[i][j] += s * b.U[d][j][fault]
     for i in range(N):
         for j in range(N):
             x.P[i][j] += weight * off[i] * off[j]

@@ -1,7 +1,8 @@
 """The bank of fault hypotheses: what the estimate would be off by, if a fault had begun.
 
 ``setup.py`` makes ``bank.pxd`` from it. What lies before ``T`` outlives a step, as far as there are
-instances; so a snapshot copies that and no more. What lies behind it is written before it is read.
+instances; so a snapshot copies that and no more (``packing`` says how it is kept). What lies behind
+it is written before it is read.
 """
 
 from typing import Annotated
@@ -9,8 +10,9 @@ from typing import Annotated
 from ekf_companion.core.memory.declare import Count, Real, Structs, Vector, doubles, struct
 from ekf_companion.core.memory.enums import AIDS, FAULTS, SOURCES, N
 
-INSTANCES = 512
-"""Most that are kept; the least probable goes where there is no room."""
+INSTANCES = 500
+"""Most that are kept; the least probable goes where there is no room. No power of two: rows that
+lie so far apart share no place in a cache."""
 FOUND = 32
 """Faults that are kept to be told."""
 DELAYS = 26
@@ -29,8 +31,9 @@ class Instance:
     """It stands for 2^level onsets."""
     t0: Real
     """Onset, ns."""
-    mass: Real
-    """Time in which it may have begun, h: its own and of those that went into it."""
+    log_prior: Real
+    """Logarithm of its prior probability: its rate times the time in which it may have begun, its
+    own and of those that went into it."""
     evidence: Real
     """Log-likelihood of what came since, beside that of no fault."""
     p: Real
@@ -51,8 +54,6 @@ class Instance:
     """The fault's mean, in its unit."""
     M: Annotated[Vector, 3, 3]
     """Its covariance."""
-    U: Annotated[Vector, 3, N]
-    """The state's error by each component: the right estimate is x + U b."""
 
 
 @struct
@@ -86,7 +87,7 @@ class Trial:
     nis: Annotated[Vector, 2]
     """Of the level rows, of the vertical ones."""
     spread: Real
-    """Sum of the logarithms of what the fault adds to the variances of the rows."""
+    """How many times larger the rows' determinant is by what is not known of the fault."""
 
 
 @struct
@@ -94,7 +95,7 @@ class Bank:
     """All instances; how the state has moved since their columns followed it; who repeats."""
 
     resets: Real
-    """Of the state, when they were counted last."""
+    """Of the state and one more, when they were counted last; 0: the bank has not begun."""
     redrawn: Annotated[Vector, N]
     """Likewise of each error state."""
     fix_t: Real
@@ -143,6 +144,12 @@ class Bank:
     """Since when, ns."""
     driven_t: Annotated[Vector, 4]
     """Until when it was driven, ns."""
+    fade: Annotated[Vector, 4]
+    """Rate at which what is held fades, 1/s."""
+    fade_var: Annotated[Vector, 4]
+    """Variance of its logarithm."""
+    faded_from: Annotated[Vector, 4]
+    """What was held when that was declared, m."""
     field_slope: Annotated[Vector, 2]
     """What a field in n does to the last azimuth, rad/gauss."""
     taken: Annotated[Vector, FAULTS, 3]
@@ -176,11 +183,23 @@ class Bank:
     """What was beyond doubt for long enough; the newest of many takes the place of the last."""
     finds: Count
     n: Count
+    pairs: Count
+    """Instances of two components or more: they stand first."""
+    triples: Count
+    """Of three: they stand before those."""
+    carried: Count
+    """Error states whose columns were saved with a bank."""
+    has_moved: Count
+    """The columns have not followed yet."""
     is_observed: Count
     """T is of the observation that is being judged."""
     instance: Annotated[Structs, Instance, INSTANCES]
-    T: Annotated[Vector, INSTANCES, 3, 3]
+    U: Annotated[Vector, 3, N, INSTANCES]
+    """The state's error by each component: the right estimate is x + U b."""
+    T: Annotated[Vector, 3, 3, INSTANCES]
     """What a component adds to each row of the innovation."""
+    kept: Count
+    """Place of the instance that stays while others are dropped; -1: none does."""
     work: Annotated[Vector, N]
     before: Annotated[Vector, 4]
     """Rates of declared slides before the last was declared, m/s; slow errors before a fix, m."""
@@ -190,6 +209,8 @@ class Bank:
     """Level and vertical rows of the observation that is being judged."""
     group: Annotated[Vector, 3]
     """Of each row: 0, it is level; 1, it is vertical."""
+    wrong: Annotated[Vector, 2]
+    """Probability that the source of the level, and of the vertical rows is wrong."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     trial: Trial

@@ -13,9 +13,14 @@ UNKNOWN_ANGLE = 3.29
 """Variance of an angle that may be any: pi^2 / 3, rad^2."""
 THREE_SIGMA2 = 9.0
 """Square of three sigma: what is larger is hardly of that variance."""
+EVEN = 0.5
+"""Probability from which on something is more likely wrong than right."""
 UPRIGHT = 0.7071
 """Least cosine of the tilt at which what looks down is taken to meet the ground below: 45 deg, as
 both autopilots have it (PX4's ``range_cos_max_tilt``, ArduPilot's ``DCM33FlowMin``)."""
+SETTLING = 0.1
+"""Rate at which a receiver settles again, 1/s: between the two shorter times in which it may do so
+after its first fix, 5 and 17 s."""
 FADES = 60.0
 """Time constant with which it is forgotten that a source has failed, s."""
 SAME_CAUSE = 2.0

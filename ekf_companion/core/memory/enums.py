@@ -191,12 +191,15 @@ class Fault(IntEnum):
     """A declared slide of the position has ended where it was."""
     HALT_HEIGHT = 30
     HALT_BARO = 31
-    SETTLE = 32
+    FADE = 32
+    """What was declared of the position fades, as a receiver settles again."""
+    FADE_HEIGHT = 33
+    SETTLE = 34
     """The position settles after the first fix, from which ours began."""
-    SETTLE_HEIGHT = 33
-    ACCEL_NOISE = 34
+    SETTLE_HEIGHT = 35
+    ACCEL_NOISE = 36
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 35
+    GYRO_NOISE = 37
 
 
 class Source(IntEnum):

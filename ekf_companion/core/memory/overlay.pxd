@@ -30,6 +30,8 @@ cdef inline Py_ssize_t bank_size(const Bank *bank) noexcept nogil:
     return ((<char *> &bank.instance[0] - <char *> bank) + bank.n * sizeof(Instance)) // 8
 cdef inline void copy_bank(Bank *to, const Bank *source) noexcept nogil:
     memcpy(to, source, 8 * bank_size(source))
+cdef inline double *columns_of(Bank *bank) noexcept nogil:
+    return &bank.U[0][0][0]
 cdef inline void copy_state(State *to, const State *source) noexcept nogil:
     to[0] = source[0]
 cdef inline double *errors(State *x) noexcept nogil:

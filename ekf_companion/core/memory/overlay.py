@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.core.memory.bank import Bank, Instance
+from ekf_companion.core.memory.bank import INSTANCES, Bank, Instance
 from ekf_companion.core.memory.declare import Dcm, Numbers, Square, Structs, Vector
 from ekf_companion.core.memory.enums import E_VEL, N
 from ekf_companion.core.memory.parameters import Parameters
@@ -69,6 +69,11 @@ def bank_size(bank: Any) -> int:
 def copy_bank(to: Any, source: Any) -> None:
     """Copy a bank, as far as it has instances."""
     ctypes.memmove(ctypes.addressof(to), ctypes.addressof(source), 8 * bank_size(source))
+
+
+def columns_of(bank: Any) -> Any:
+    """Return the columns of a bank, flat."""
+    return (ctypes.c_double * (3 * N * INSTANCES)).from_buffer(bank, Bank.U.offset)
 
 
 def copy_state(to: Any, source: Any) -> None:

@@ -53,6 +53,7 @@ from cython.cimports.ekf_companion.core.start.navigation import (
     start_navigation,
 )
 from cython.cimports.ekf_companion.core.trust import (
+    delay_search,
     doubt,
     force,
     gate,
@@ -179,8 +180,10 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             nis = DOUBTED_NIS * x.doubt
         if x.is_denied[AID_VELOCITY] != 0.0:
             nis = NAN
-        if k.weighs_faults == WEIGH_ACT and hypotheses.explains(address(o.bank[0])):
-            nis = 0.0  # it is a fault, and not our attitude
+        if k.weighs_faults == WEIGH_ACT and (
+            hypotheses.explains(address(o.bank[0])) or delay_search.may_have_leapt(x)
+        ):
+            nis = 0.0  # it is a fault, or may be one, and not our attitude
         if yaw_reset.is_needed(x, nis, x.fix_dt, sqrt(fix.stated_var[2])):
             gate.begin_reset(x, RESET_MOTION)
             start_from_yaw_bank(x, k, w)

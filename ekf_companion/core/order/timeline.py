@@ -22,7 +22,12 @@ from __future__ import annotations
 import cython
 import numpy as np
 from cython import address
-from cython.cimports.ekf_companion.core.filter.slow_error import add_covariance, add_variance
+from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.filter.slow_error import (
+    add_covariance,
+    add_variance,
+    carried,
+)
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.memory import enums
 from cython.cimports.ekf_companion.core.memory.bank import BANK
@@ -35,8 +40,6 @@ from cython.cimports.ekf_companion.core.memory.overlay import (
     as_parameters,
     as_state,
     as_states,
-    bank_size,
-    copy_bank,
     copy_state,
 )
 from cython.cimports.ekf_companion.core.memory.scratch import ODOMETRY, OUT, ROW, VALUES, Scratch
@@ -56,12 +59,15 @@ from cython.cimports.ekf_companion.core.start.reboot import carry_over
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset
 from cython.cimports.libc.math import sqrt
 
+from ekf_companion.core.memory.packing import pack, unpack
 from ekf_companion.nav.arrays import Column, Table
 
 EPOCH_STEP = cython.declare(cython.longlong, 1 << 52)
 """Epochs are whole multiples of 52 days: times since one are exact in a double."""
 SNAPSHOT_EVERY = cython.declare(cython.Py_ssize_t, 16)
 """Inertial samples between two snapshots: at 250 Hz a late event re-runs 32 ms more at the most."""
+SAVED = cython.declare(cython.Py_ssize_t, 64)
+"""Snapshots with fault hypotheses, at most, of some 0.3 MB each: four seconds at 250 Hz."""
 LOST_AFTER = cython.declare(cython.Py_ssize_t, 250)
 """So many inertial samples in a row too old for the window mean that the clock itself went back."""
 LEAP = cython.declare(cython.double, 1e8)
@@ -138,7 +144,8 @@ class Timeline:
         self.mark_row = -1
         # banks of the state, of the mark, of the snapshots: pages that are not used cost nothing
         has_bank = cython.declare(cython.bint, self.k.weighs_faults != 0.0)
-        count = 2 + self.snapshot_row.shape[0] if has_bank else 1
+        self.most_snaps: int = SAVED if has_bank else capacity
+        count = 2 + self.most_snaps if has_bank else 1
         self.bank_table = np.zeros((count, BANK if has_bank else 1))
         self.banks = as_banks(self.bank_table)
         self.w.observation.has_bank = has_bank
@@ -315,10 +322,9 @@ class Timeline:
         self.is_set = False
         self.lost = 0
         if self.w.observation.has_bank:
-            self.bank_table[0, :] = 0.0
-            self.bank_table[0, : bank.shape[0]] = bank
-            if bank.shape[0] > 0 and self.banks[0].resets == self.x.resets - 1.0:
-                self.banks[0].resets = self.x.resets  # the one just counted has moved nothing
+            np.asarray(self.bank_table)[0] = unpack(np.asarray(bank))
+            if bank.shape[0] > 0 and self.banks[0].resets == self.x.resets:
+                self.banks[0].resets += 1.0  # the reset just counted has moved nothing
         self._begin_from(self.x.t, stamp_ns)
         self.table[:count, :] = waiting[:count, :]
         self.size = count
@@ -406,7 +412,7 @@ class Timeline:
         t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch_ns)
 
         # Too old to go back to?
-        if self.size == self.capacity:
+        if self.size == self.capacity or self.snaps == self.most_snaps:
             self._trim()
         is_stale = self.newest >= 0.0 and (t < self.newest - self.window or t <= self.oldest)
         if kind != enums.KIND_IMU:
@@ -440,7 +446,7 @@ class Timeline:
 
     def _fit(self, t_ns: int, t: float, kind: int, values: Numbers) -> int:
         """Insert an event that is neither too old nor in doubt; rerun what came after it."""
-        if self.size == self.capacity:
+        if self.size == self.capacity or self.snaps == self.most_snaps:
             self._trim()
 
         # Find the place: after all that is earlier, in an order that arrival has no part in
@@ -680,9 +686,15 @@ class Timeline:
         self.reruns += 1
 
     def _copy_bank(self, to: int, source: int) -> None:
-        """Copy a bank, where there are any."""
-        if self.w.observation.has_bank:
-            copy_bank(address(self.banks[to]), address(self.banks[source]))
+        """Copy a bank, where there are any: the first one runs, the others are saved."""
+        if not self.w.observation.has_bank:
+            return
+        if source == 0:
+            columns.save(address(self.banks[to]), address(self.banks[0]), carried(self.x))
+        elif to == 0:
+            columns.load(address(self.banks[0]), address(self.banks[source]))
+        else:
+            columns.copy_saved(address(self.banks[to]), address(self.banks[source]))
 
     def _run(self) -> None:
         """Step through all rows up to the last inertial sample, leaving snapshots behind.
@@ -846,7 +858,7 @@ class Timeline:
         """Return a copy of the fault hypotheses, as far as there are any; empty: without a bank."""
         if not self.w.observation.has_bank:
             return np.zeros(0)
-        return np.array(self.bank_table[0, : bank_size(address(self.banks[0]))])
+        return pack(np.asarray(self.bank_table[0]))
 
     @property
     def origin(self) -> tuple[float, float, float] | None:

@@ -91,7 +91,7 @@ def fill(x: State, k: Parameters, b: Bank, q: Protection) -> None:
         for e in range(E_POS, E_POS + 3):
             b.work[e] = -shown(b, shows, e)
         for c in range(h.rows):
-            columns.look_ahead(b, h.U[c], b.ahead[c])
+            columns.look_ahead(b, i, c, b.ahead[c])
             for e in range(E_POS, E_POS + 3):
                 b.work[e] += b.ahead[c][e] * h.b[c]
         add(x, b, q, h.p)

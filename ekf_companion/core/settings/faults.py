@@ -63,19 +63,22 @@ FAULTS = {
     Fault.FIELD: Prior(Source.COMPASS, 2, 0.1, 1.0, 0.3, STEP, LEVEL),
     Fault.BODY_FIELD: Prior(Source.COMPASS, 3, 0.1, 1.0, 0.1, STEP, LEVEL),
     Fault.HEADING_STEP: Prior(Source.HEADING, 1, 0.3, 3.0, 0.3, STEP, LEVEL),
-    # of the installation: s, m
-    Fault.DELAY: Prior(Source.DELAY, 1, 0.15, 0.15, 0.1, RAMP, ALL),
+    # of the installation: s (and one, times what the delay it is about adds), m
+    Fault.DELAY: Prior(Source.DELAY, 2, 0.15, 0.15, 0.1, RAMP, ALL),
     Fault.LEVER: Prior(Source.LEVER, 3, 0.5, 0.5, 0.1, RAMP, ALL),
     # of a receiver that has just begun, m: it may settle in 5, 20 or 60 s, one of ten does by more
     # than it states; its rate is that by the second of its only onset
     Fault.SETTLE: Prior(Source.SETTLING, 2, 10.0, 100.0, 120.0, RAMP, LEVEL),
     Fault.SETTLE_HEIGHT: Prior(Source.SETTLING_HEIGHT, 1, 15.0, 150.0, 120.0, RAMP, VERTICAL),
-    # of what was declared, a share: its end, once a minute: all at once, or that a slide stops
+    # of what was declared, a share: its end, once a minute: all at once, that a slide stops, or
+    # that the receiver settles again; the logarithm of its time constant
     Fault.RECOVERY: Prior(Source.POSITION, 1, 0.02, 0.02, 60.0, RAMP, LEVEL),
     Fault.RECOVERY_HEIGHT: Prior(Source.HEIGHT, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
     Fault.HALT: Prior(Source.POSITION, 1, 0.02, 0.02, 60.0, RAMP, LEVEL),
     Fault.HALT_HEIGHT: Prior(Source.HEIGHT, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
     Fault.HALT_BARO: Prior(Source.BARO, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
+    Fault.FADE: Prior(Source.POSITION, 2, 0.02, 0.02, 60.0, RAMP, LEVEL),
+    Fault.FADE_HEIGHT: Prior(Source.HEIGHT, 2, 0.02, 0.02, 60.0, RAMP, VERTICAL),
     # no fault: its share of the noise follows from what a second of it does
     Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
     Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),

@@ -140,7 +140,7 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         cython.bint, x.mode == MODE_NAVIGATE and x.voices.is_rushing != 0.0
     )
     if k.weighs_faults == WEIGH_ACT:  # what was declared beside a wrong attitude may be its work
-        let_go(x, address(w.observation.bank[0]))
+        let_go(x, k, address(w.observation.bank[0]), address(w.observation))
     x.moved.yaw += yaw_reset.yaw_error(x)
     yaw_reset.take_attitude(x)
     if x.mode != MODE_LEVEL:

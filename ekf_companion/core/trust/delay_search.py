@@ -11,6 +11,7 @@ import cython
 from cython.cimports.ekf_companion.core.filter.past import gained_until
 from cython.cimports.ekf_companion.core.memory.bank import DELAYS, Bank
 from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.enums import AID_VELOCITY
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import exp, log
@@ -20,8 +21,8 @@ STEP = cython.declare(cython.double, 0.1)
 noise."""
 EARLIER = cython.declare(cython.int, 10)
 """Steps by which a fix may be less late than now: a link that no longer buffers."""
-MEMORY = cython.declare(cython.double, 1.0)
-"""Time constant over which a fit counts, s: five usual fixes; what was before another delay."""
+MEMORY = cython.declare(cython.double, 0.6)
+"""Time constant over which a fit counts, s: three usual fixes; before that it was another delay."""
 
 
 def forget(b: Bank) -> None:
@@ -48,6 +49,14 @@ def compare(x: State, b: Bank, o: Observation) -> None:
             if q > THREE_SIGMA2:
                 q = THREE_SIGMA2 * (1.0 + log(q / THREE_SIGMA2))
             b.delay_cost[g] += q
+
+
+def may_have_leapt(x: State) -> bool:
+    """Return whether a delay that has leapt may not be found yet: the fixes of before tell nothing.
+
+    So long the velocities have been refused that all of those have been compared.
+    """
+    return x.t - x.used_t[AID_VELOCITY] < (DELAYS - EARLIER) * STEP * 1e9
 
 
 def best(b: Bank) -> float:

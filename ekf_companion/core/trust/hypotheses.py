@@ -17,8 +17,9 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import EVEN, FADES, NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -68,22 +69,25 @@ LN_TEN = cython.declare(cython.double, 2.302585092994046)
 """What it costs to be one of ten."""
 AGAIN = cython.declare(cython.double, 100.0)
 """How much more often a source fails that has just failed, a receiver among houses."""
-EVEN = cython.declare(cython.double, 0.5)
-"""Probability of its fault from which on a source is not fused."""
 ANY = cython.declare(cython.double, 1e8)
 """Variance of a row that says nothing, of the square of its unit."""
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
 SPACING = cython.declare(cython.double, 0.095e9)
-"""Least time between two readings of one aid that are weighed, ns: a compass at 50 Hz says little
-more than at 10. They correct the state, and so the columns, all the same."""
+"""Least time between two readings of one aid that are weighed, ns: as often as the usual receiver's
+fixes; a compass at 50 Hz says little more. They correct the state, and so the columns, all the
+same."""
 
 
 def begin(b: Bank) -> None:
     """Begin with no instance."""
     b.n = 0
+    b.pairs = 0
+    b.triples = 0
+    b.kept = -1
     b.is_observed = 0
     b.fix_t = NEVER
+    b.proven_t = NEVER
     b.nothing = 1.0
     for source in range(SOURCES):
         b.since[source] = NEVER
@@ -100,9 +104,9 @@ def begin(b: Bank) -> None:
 def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     """Weigh an observation as :func:`~.update.innovate` left it, before it corrects anything."""
     b = address(o.bank[0])
-    if x.resets != b.resets or x.mode != MODE_NAVIGATE or x.needs_reset != 0.0:
+    if x.resets + 1.0 != b.resets or x.mode != MODE_NAVIGATE or x.needs_reset != 0.0:
         begin(b)
-        b.resets = x.resets
+        b.resets = x.resets + 1.0
     if x.mode != MODE_NAVIGATE or x.needs_reset != 0.0 or x.has_yaw == 0.0:
         return
     columns.follow(x, b)
@@ -114,11 +118,14 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     if is_weighed:
         onsets.begin_instances(x, k, b, o, aid)
         b.weighed_t[aid] = x.t
-    columns.observe(x, b, o)
+    columns.observe(b, o, carried(x))
     b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])
-        shape.add_direct(x, b, h, o, aid, b.T[i])
+        shape.find_direct(x, b, h, o, aid)
+        for c in range(h.rows):
+            for r in range(o.rows):
+                b.T[c][r][i] += b.trial.T[r][c]
     if not is_weighed:
         return
     for g in range(2):
@@ -129,22 +136,22 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         g = 1 if b.group[r] != 0.0 else 0
         b.rows[g] += 1.0
         b.work[g] += o.y[r] * o.y[r]
+    find_wrong(k, b, aid)
     share = 1.0 / learn_common(x, b, o, aid, b.work[0] + b.work[1])
     b.work[0] = cost(b.work[0], b.rows[0])
     b.work[1] = cost(b.work[1], b.rows[1])
     for i in range(b.n):
         weigh_reading(k, b, i, o, aid, b.work, share)
-    onsets.thin(x, b)
+    onsets.thin(x, k, b)
     find_posterior(x, k, b)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         shape.keep_field_slope(b, o)
 
 
 def cost(nis: float, rows: float) -> float:
-    """Return what a NIS costs, in its own unit, where the reading may be an outlier as well."""
+    """Return what a NIS costs, in its own unit, where the reading may be an outlier instead."""
     most = OUTLIER + OUTLIER_ROW * rows
-    least = nis if nis < most else most
-    return least - 2.0 * log(exp(0.5 * (least - nis)) + exp(0.5 * (least - most)))
+    return nis if nis < most else most
 
 
 def weigh_reading(
@@ -167,7 +174,7 @@ def weigh_reading(
         )
         own += 1.0 if is_own else 0.0
         for c in range(rows):
-            s = b.T[i][r][c]
+            s = b.T[c][r][i]
             for j in range(r):
                 s -= o.L[r][j] * to.T[j][c]
             to.T[r][c] = s / o.L[r][r]
@@ -184,7 +191,7 @@ def weigh_reading(
         nis = try_reading(b, h, o, shows, 1.0)
     h.readings += 1.0
     h.recent += (nis / own - h.recent) / (h.readings if h.readings < RECENT else RECENT)
-    gain = -to.spread
+    gain = -log(to.spread)
     for g in range(2):
         if b.rows[g] > 0.0 and (shows == SHOWS_ALL or g == (1 if shows == SHOWS_VERTICAL else 0)):
             gain += nothing[g] - cost(to.nis[g], b.rows[g])
@@ -230,7 +237,7 @@ def try_reading(b: Bank, h: Instance, o: Observation, shows: int, noise: float) 
     """Learn b from the own rows of a whitened reading of that variance; return their NIS."""
     to = address(b.trial)
     rows = h.rows
-    to.spread = 0.0
+    to.spread = 1.0
     to.nis[0] = 0.0
     to.nis[1] = 0.0
     for c in range(rows):
@@ -250,7 +257,7 @@ def try_reading(b: Bank, h: Instance, o: Observation, shows: int, noise: float) 
             e -= to.T[r][c] * to.b[c]
             s += to.T[r][c] * to.gain[c]
         to.nis[group] += e * e / s
-        to.spread += log(s)
+        to.spread *= s
         for c in range(rows):
             to.b[c] += to.gain[c] * e / s
             for j in range(rows):
@@ -287,35 +294,38 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     So what is wild in no shape at all, and explained by one fault after the other, leads nobody
     astray meanwhile. The columns follow what was really done.
     """
-    first = 0.0
-    down = 0.0
     b = address(o.bank[0])
     if x.t < b.hold_t:  # nothing is believed while the inertial noise leaps
         return False
+    find_wrong(k, b, aid)
+    if b.wrong[0] <= EVEN and b.wrong[1] <= EVEN:
+        return False
+    for r in range(o.rows):
+        if b.wrong[1 if is_vertical(o, r) else 0] > EVEN:
+            o.R[r][r] += ANY
+    return True
+
+
+def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
+    """Find how probable it is that the source of the level, and of the vertical rows is wrong."""
+    b.wrong[0] = 0.0
+    b.wrong[1] = 0.0
     for i in range(b.n):
         h = address(b.instance[i])
         source = k.fault[h.kind].source
         if aid == AID_VELOCITY:
             if source == SOURCE_VELOCITY:
-                first += h.p
+                b.wrong[0] += h.p
             elif source == SOURCE_CLIMB or source == SOURCE_FALL:
-                down += h.p
+                b.wrong[1] += h.p
         elif aid == AID_POSITION:
             if source == SOURCE_POSITION:
-                first += h.p
+                b.wrong[0] += h.p
         elif aid == AID_HEIGHT:
             if source == SOURCE_HEIGHT or source == SOURCE_FALL:
-                first += h.p
+                b.wrong[1] += h.p
         elif aid == AID_BARO and source == SOURCE_BARO:
-            first += h.p
-    if aid != AID_VELOCITY:
-        down = first
-    if first <= EVEN and down <= EVEN:
-        return False
-    for r in range(o.rows):
-        if (down if r == 2 else first) > EVEN:
-            o.R[r][r] += ANY
-    return True
+            b.wrong[1] += h.p
 
 
 def explains(b: Bank) -> bool:
@@ -343,7 +353,10 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
     vertical = 0.0
     for i in range(b.n):
         h = address(b.instance[i])
-        h.p = h.evidence + log(k.fault[h.kind].rate * h.mass * again(x, k, b, h) + LEAST)
+        h.p = h.evidence + h.log_prior
+        often = again(x, k, b, h)
+        if often > 1.0:
+            h.p += log(often)
         most = h.p if h.p > most else most
     # all by the largest, so that no exponential is too large
     for i in range(b.n):

@@ -28,16 +28,17 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BODY_FIELD,
     FAULT_DELAY,
     FAULT_DRAG_RAMP,
+    FAULT_FADE_HEIGHT,
     FAULT_FALL_RAMP,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
-    FAULT_HALT_BARO,
     FAULT_HEADING_STEP,
     FAULT_KICK,
     FAULT_POSITION_STEP,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     SOURCE_NOISE,
+    SOURCE_STATE,
     N,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -49,6 +50,8 @@ from cython.cimports.libc.math import exp, log
 KEPT = cython.declare(cython.int, 3)
 """Onsets of a level that are told apart: with two the one that explains most soon is gone before it
 does."""
+LEAST = cython.declare(cython.double, 1e-300)
+"""Prior of what is no fault, and has no rate."""
 LEAST_VAR = cython.declare(cython.double, 1e-20)
 """Variance below any size that is known: rounding leaves none, which has no logarithm."""
 EXCLUDED = cython.declare(cython.double, -6.0)
@@ -73,11 +76,16 @@ EVER = cython.declare(cython.double, 0.004)
 def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) -> None:
     """Begin an instance of each kind that this reading may be the first to show.
 
-    What shows in a fix begins with its first row; what another aid alone would show, with that.
+    What shows in a fix begins with its first row; what another aid alone would show, with that. Of
+    a receiver or a compass none begins before the start is proven: it may be our own.
     """
+    if b.proven_t <= NEVER:
+        b.proven_t = x.proven_t
     if aid == AID_BARO:
         begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SCALE)
     elif aid == AID_HEADING:
+        if x.t < b.proven_t:
+            return
         first = FAULT_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
         last = FAULT_BODY_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
         if b.begun_t[aid] <= NEVER:
@@ -85,8 +93,6 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
                 begin_heading(x, k, b, o, kind)
         begin_kinds(x, k, b, aid, first, last)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
-        if b.fix_t <= NEVER:
-            b.proven_t = x.proven_t
         b.fix_t = x.fix_t
         if not x.t - b.window_t < OFTEN:
             score.end_window(x, k, b)
@@ -95,12 +101,13 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         if b.has_begun == 0.0:
             b.has_begun = 1.0
             begin_settling(x, k, b)
-        if x.t >= b.proven_t:
-            begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
+        if x.t < b.proven_t:
+            return
+        begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         if delay_search.best(b) != 0.0 and x.t - b.begun_t[AID_VELOCITY] < OFTEN:
             begin_instance(x, k, b, FAULT_DELAY, x.fix_dt)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_HALT_BARO)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FADE_HEIGHT)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
@@ -113,21 +120,25 @@ def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: 
             begin_instance(x, k, b, kind, x.fix_dt if clock == AID_POSITION else 0.1)
 
 
-def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> None:
-    """Begin one of a kind; what its onset stands for is the time since the onset before."""
+def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> int:
+    """Begin one of a kind, and return its place.
+
+    What its onset stands for is the time since the onset before.
+    """
     if k.fault[kind].source == SOURCE_NOISE:
         forget_kind(b, kind)
-    fold(b, kind)
+    fold(x, b, kind)
     if b.n == INSTANCES:
         drop_least(k, b)
-    h = address(b.instance[b.n])
-    b.n += 1
+    i = make_room(b, k.fault[kind].rows)
+    h = address(b.instance[i])
     h.kind = kind
     h.rows = k.fault[kind].rows
     h.reference = x.pos_n[2]
     h.level = 0
     h.t0 = x.t
-    h.mass = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
+    span = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
+    h.log_prior = log(k.fault[kind].rate * span + LEAST)
     h.evidence = 0.0
     h.p = 0.0
     h.is_wide = 0.0
@@ -138,22 +149,52 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> No
         for j in range(3):
             h.M[c][j] = 0.0
         h.M[c][c] = k.fault[kind].std * k.fault[kind].std
+    for c in range(h.rows):
         for e in range(N):
-            h.U[c][e] = 0.0
-    shape.begin(x, b, h)
+            b.U[c][e][i] = 0.0
+        for r in range(3):
+            b.T[c][r][i] = 0.0
+    shape.begin(x, b, i)
+    return i
+
+
+def make_room(b: Bank, rows: int) -> int:
+    """Return a place for one of so many components: a first one of fewer moves to their end."""
+    i = b.n
+    if rows > 1:
+        move(b, b.pairs, i)
+        i = b.pairs
+        if rows > 2:
+            move(b, b.triples, i)
+            i = b.triples
+            b.triples += 1
+        b.pairs += 1
+    b.n += 1
+    return i
+
+
+def move(b: Bank, source: int, to: int) -> None:
+    """Move an instance to another place."""
+    if source == to:
+        return
+    b.instance[to] = b.instance[source]
+    if b.kept == source:
+        b.kept = to
+    for c in range(b.instance[to].rows):
+        for e in range(N):
+            b.U[c][e][to] = b.U[c][e][source]
+        for r in range(3):
+            b.T[c][r][to] = b.T[c][r][source]
 
 
 def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -> None:
     """Begin what may be ever since: that a heading is off, by which our yaw was found."""
-    begin_instance(x, k, b, kind, 0.0)
-    i = b.n - 1
+    i = begin_instance(x, k, b, kind, 0.0)
     h = address(b.instance[i])
-    h.mass = EVER / k.fault[kind].rate
-    for c in range(3):
-        b.T[i][0][c] = 0.0
-    shape.add_direct(x, b, h, o, AID_HEADING, b.T[i])
+    h.log_prior = log(EVER)
+    shape.find_direct(x, b, h, o, AID_HEADING)
     for c in range(h.rows):
-        h.U[c][E_ATT + 2] = -b.T[i][0][c]
+        b.U[c][E_ATT + 2][i] = -b.trial.T[0][c]
 
 
 def begin_settling(x: State, k: Parameters, b: Bank) -> None:
@@ -164,16 +205,18 @@ def begin_settling(x: State, k: Parameters, b: Bank) -> None:
     tau = SHORTEST_SETTLING
     for time in range(3):
         for kind in range(FAULT_SETTLE, FAULT_SETTLE_HEIGHT + 1):
-            begin_instance(x, k, b, kind, 0.0)
-            h = address(b.instance[b.n - 1])
+            h = address(b.instance[begin_instance(x, k, b, kind, 0.0)])
             h.level = 1 + time
             h.tau = tau
             h.t0 = x.t - x.fix_dt * 1e9
         tau *= LONGER
 
 
-def fold(b: Bank, kind: int) -> None:
-    """Make room for one more onset of a kind: of a full level the two oldest become one."""
+def fold(x: State, b: Bank, kind: int) -> None:
+    """Make room for one more onset of a kind: of a full level the two oldest become one.
+
+    Those of which nothing has been seen in all the time are not told apart at all.
+    """
     level = 0
     while True:
         count = 0
@@ -189,7 +232,8 @@ def fold(b: Bank, kind: int) -> None:
                 elif second < 0 or h.t0 < b.instance[second].t0:
                     second = i
         # of the first level one is to come; of the others it has
-        if count < (KEPT if level == 0 else KEPT + 1):
+        is_full = cython.declare(cython.bint, count >= (KEPT if level == 0 else KEPT + 1))
+        if count < 2 or not (is_full or (is_quiet(x, b, first) and is_quiet(x, b, second))):
             return
         stays = first
         goes = second
@@ -197,10 +241,16 @@ def fold(b: Bank, kind: int) -> None:
             stays = second
             goes = first
         h = address(b.instance[stays])
-        h.mass += b.instance[goes].mass * exp(b.instance[goes].evidence - h.evidence)
+        of = address(b.instance[goes])
+        h.log_prior += log(1.0 + exp(of.log_prior + of.evidence - h.log_prior - h.evidence))
         level += 1
         h.level = level
         drop(b, goes)
+
+
+def is_quiet(x: State, b: Bank, i: int) -> bool:
+    """Return whether nothing speaks for an onset of long ago."""
+    return x.t - b.instance[i].t0 > SETTLED and b.instance[i].evidence < 0.0
 
 
 def is_better(younger: Instance, older: Instance) -> bool:
@@ -232,13 +282,18 @@ def log_determinant(h: Instance) -> float:
 
 
 def drop(b: Bank, i: int) -> None:
-    """Drop an instance; the last one takes its place."""
+    """Drop an instance; the last one of as many components takes its place, and so on."""
+    rows = b.instance[i].rows
+    if rows > 2:
+        b.triples -= 1
+        move(b, b.triples, i)
+        i = b.triples
+    if rows > 1:
+        b.pairs -= 1
+        move(b, b.pairs, i)
+        i = b.pairs
     b.n -= 1
-    if i < b.n:
-        b.instance[i] = b.instance[b.n]
-        for r in range(3):
-            for c in range(3):
-                b.T[i][r][c] = b.T[b.n][r][c]
+    move(b, b.n, i)
 
 
 def forget_kind(b: Bank, kind: int) -> None:
@@ -261,8 +316,8 @@ def drop_least(k: Parameters, b: Bank) -> None:
     drop(b, least)
 
 
-def thin(x: State, b: Bank) -> None:
-    """Drop what cannot have begun then, and what is old and says nothing."""
+def thin(x: State, k: Parameters, b: Bank) -> None:
+    """Drop what cannot have begun then, what is old and says nothing, and what is gone again."""
     i = b.n - 1
     while i >= 0:
         h = address(b.instance[i])
@@ -270,8 +325,13 @@ def thin(x: State, b: Bank) -> None:
         is_over = cython.declare(
             cython.bint, age > FASTEST and (h.kind == FAULT_DRAG_RAMP or h.kind == FAULT_FALL_RAMP)
         )
+        is_absorbed = cython.declare(
+            cython.bint,
+            age > SETTLED and k.fault[h.kind].source == SOURCE_STATE and shape.is_absorbed(x, b, i),
+        )
         if (
             is_over
+            or is_absorbed
             or (age > SETTLED and h.evidence < EXCLUDED)
             or (age > OLDEST and h.evidence < 0.0)
         ):

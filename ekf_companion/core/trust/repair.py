@@ -17,8 +17,12 @@ from cython.cimports.ekf_companion.core.filter.columns import turn
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
 from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER, SETTLING, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_BARO,
+    AID_HEIGHT,
+    AID_POSITION,
+    AID_VELOCITY,
     E_BARO,
     E_DELAY,
     E_GNSS,
@@ -49,6 +53,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_VELOCITY_TURN,
     SHOWS_ALL,
     SOURCE_DRAG,
+    SOURCE_FALL,
+    SOURCE_HEIGHT,
     SOURCE_NOISE,
     SOURCE_POSITION,
     SOURCE_SETTLING,
@@ -173,23 +179,29 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     note_restless(x, b, b.failed_t[k.fault[kind].source])
     if not shape.is_end(kind):
         b.failed_t[k.fault[kind].source] = x.t
-    find_effect(x, b, h, 0.0, o.dx)
+    find_effect(x, b, i, 0.0, o.dx)
     spread(x, k, o, i, p)
     inject(x, o)
-    doubt_it(k, h, o, p)
+    doubt_it(k, b, i, o, p)
 
-    # What is left may fail apart; all else was about another state
-    stays = i
-    if shape.is_end(kind):  # of what was held nothing is left that this could be the opposite of
-        stays = -1
+    # What is left may fail apart, and the noise is what it was; all else was about another state,
+    # and of what was held nothing is left that an end could be the opposite of
+    b.kept = -1 if shape.is_end(kind) else i
     j = b.n - 1
     while j >= 0:
         other = k.fault[b.instance[j].kind].shows
-        if j != stays and (shows == SHOWS_ALL or other == SHOWS_ALL or other == shows):
-            if stays == b.n - 1:
-                stays = j
+        is_apart = cython.declare(
+            cython.bint, shows != SHOWS_ALL and other != SHOWS_ALL and other != shows
+        )
+        is_noise = cython.declare(cython.bint, k.fault[b.instance[j].kind].source == SOURCE_NOISE)
+        if j != b.kept and not is_apart and not is_noise:
             drop(b, j)
         j -= 1
+    b.kept = -1
+    # what goes on otherwise does so from now on, not from the next second on
+    b.begun_t[AID_BARO] = NEVER
+    for aid in range(AID_VELOCITY + 1):
+        b.begun_t[aid] = NEVER
 
 
 def spread(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
@@ -199,52 +211,54 @@ def spread(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     """
     b = address(o.bank[0])
     source = k.fault[b.instance[i].kind].source
-    find_effect(x, b, address(b.instance[i]), 1.0, o.gain)
+    find_effect(x, b, i, 1.0, o.gain)
     for j in range(b.n):
         h = address(b.instance[j])
         if k.fault[h.kind].source == source and h.p > UNLIKELY:
-            find_effect(x, b, h, 1.0, b.work)
+            find_effect(x, b, j, 1.0, b.work)
             for e in range(N):
                 b.work[e] -= o.gain[e]
-            extend(x, b, h, 1.0)
-            open_offset(x, h, 1.0)
-            add_columns(x, h, b.work, h.p / p)
-            open_offset(x, h, -1.0)
-            extend(x, b, h, -1.0)
+            extend(x, b, j, 1.0)
+            open_offset(x, b, j, 1.0)
+            add_columns(x, b, j, b.work, h.p / p)
+            open_offset(x, b, j, -1.0)
+            extend(x, b, j, -1.0)
 
 
-def find_effect(x: State, b: Bank, h: Instance, held: float, out: Vector) -> None:
+def find_effect(x: State, b: Bank, i: int, held: float, out: Vector) -> None:
     """Write what a fault of its mean does to each error state, with those that will hold it.
 
     An offset that is held beside the state counts as such a state where ``held`` is 1.
     """
-    extend(x, b, h, 1.0)
-    open_offset(x, h, held)
+    h = address(b.instance[i])
+    extend(x, b, i, 1.0)
+    open_offset(x, b, i, held)
     for e in range(N):
         out[e] = 0.0
         for c in range(h.rows):
-            out[e] += h.U[c][e] * h.b[c]
-    open_offset(x, h, -held)
-    extend(x, b, h, -1.0)
+            out[e] += b.U[c][e][i] * h.b[c]
+    open_offset(x, b, i, -held)
+    extend(x, b, i, -1.0)
 
 
-def doubt_it(k: Parameters, h: Instance, o: Observation, p: float) -> None:
+def doubt_it(k: Parameters, b: Bank, i: int, o: Observation, p: float) -> None:
     """Keep the instance that was declared as its own opposite: that it never was, by what is left.
 
     Under that the state, and what is taken off the readings, are off by -b from the same onset on.
     """
+    h = address(b.instance[i])
     odds = (1.0 - p) / p if p < SUREST else (1.0 - SUREST)
-    h.evidence = log(odds / (k.fault[h.kind].rate * h.mass))
+    h.evidence = log(odds) - h.log_prior
     h.p = 1.0 - p
     for c in range(h.rows):
         h.b[c] = -h.b[c]
-        turn(h.U[c], o.dx)
+        turn(b, c, i, o.dx)
     if h.kind == FAULT_DELAY:  # of which the last component is one, whatever it is
         h.b[1] = 1.0
         h.tau = -h.tau
         for e in range(N):
-            h.U[1][e] = -h.U[1][e]
-        delay_search.forget(address(o.bank[0]))
+            b.U[1][e][i] = -b.U[1][e][i]
+        delay_search.forget(b)
 
 
 def carry(x: State, b: Bank, h: Instance) -> None:
@@ -276,7 +290,12 @@ def carry(x: State, b: Bank, h: Instance) -> None:
         drive_on(x, b, 3, h.b[0], h.M[0][0])
     elif shape.is_end(kind):
         for axis in range(shape.first_axis(kind), shape.last_axis(kind) + 1):
-            hold(b, axis, -b.drift[axis] * since if shape.is_halt(kind) else -b.held[axis])
+            if shape.is_halt(kind):
+                hold(b, axis, -b.drift[axis] * since)
+            elif shape.is_fading(kind):
+                fade_on(x, b, axis, h)
+            else:
+                hold(b, axis, -b.held[axis])
     elif is_taken(kind):
         b.taken_t[kind] = h.t0
         b.taken_tau[kind] = h.tau
@@ -312,65 +331,93 @@ def is_taken(kind: int) -> bool:
     )
 
 
-def extend(x: State, b: Bank, h: Instance, sign: float) -> None:
+def extend(x: State, b: Bank, i: int, sign: float) -> None:
     """Extend the columns to the error state that holds the fault from now on; -1: take it back."""
+    h = address(b.instance[i])
     kind = h.kind
     if kind == FAULT_VELOCITY_STEP:
         for c in range(2):
-            h.U[c][E_GNSS_VEL + c] += sign
+            b.U[c][E_GNSS_VEL + c][i] += sign
     elif kind == FAULT_CLIMB_STEP or kind == FAULT_FALL:
-        h.U[0][E_GNSS_VEL + 2] += sign
+        b.U[0][E_GNSS_VEL + 2][i] += sign
     elif kind == FAULT_FALL_RAMP:
-        h.U[0][E_GNSS_VEL + 2] += sign * (x.t - h.t0) * 1e-9
+        b.U[0][E_GNSS_VEL + 2][i] += sign * (x.t - h.t0) * 1e-9
     elif kind == FAULT_BODY_FIELD:
         for c in range(3):
-            h.U[c][E_IRON + c] += sign
+            b.U[c][E_IRON + c][i] += sign
     elif kind == FAULT_HEADING_STEP:
-        h.U[0][E_HEADING] += sign
+        b.U[0][E_HEADING][i] += sign
     elif kind == FAULT_FIELD:
         for c in range(2):
-            h.U[c][E_HEADING] += sign * b.field_slope[c]
+            b.U[c][E_HEADING][i] += sign * b.field_slope[c]
     elif kind == FAULT_DELAY:
-        h.U[0][E_DELAY] += sign
+        b.U[0][E_DELAY][i] += sign
 
 
-def open_offset(x: State, h: Instance, sign: float) -> None:
+def open_offset(x: State, b: Bank, i: int, sign: float) -> None:
     """Let what is not known of an offset that is held be a part of the slow error of its source."""
+    h = address(b.instance[i])
     kind = h.kind
     since = (x.t - h.t0) * 1e-9 * sign
     if kind == FAULT_POSITION_STEP or kind == FAULT_POSITION_RAMP:
         for c in range(2):
-            h.U[c][E_GNSS + c] += sign if kind == FAULT_POSITION_STEP else since
+            b.U[c][E_GNSS + c][i] += sign if kind == FAULT_POSITION_STEP else since
     elif kind == FAULT_HEIGHT_STEP:
-        h.U[0][E_GNSS + 2] += sign
+        b.U[0][E_GNSS + 2][i] += sign
     elif kind == FAULT_HEIGHT_RAMP or kind == FAULT_FALL:
-        h.U[0][E_GNSS + 2] += since
+        b.U[0][E_GNSS + 2][i] += since
     elif kind == FAULT_FALL_RAMP:
-        h.U[0][E_GNSS + 2] += 0.5 * since * (x.t - h.t0) * 1e-9
+        b.U[0][E_GNSS + 2][i] += 0.5 * since * (x.t - h.t0) * 1e-9
     elif kind == FAULT_BARO_STEP:
-        h.U[0][E_BARO] += sign
+        b.U[0][E_BARO][i] += sign
     elif kind == FAULT_BARO_RAMP:
-        h.U[0][E_BARO] += since
+        b.U[0][E_BARO][i] += since
 
 
 def hold(b: Bank, axis: int, offset: float) -> None:
     """Hold an offset that was found; what jumps has ended to slide."""
     b.held[axis] += offset
     b.drift[axis] = 0.0
+    b.fade[axis] = 0.0
 
 
-def let_go(x: State, b: Bank) -> None:
+def let_go(x: State, k: Parameters, b: Bank, o: Observation) -> None:
     """Hold no offset of a position that is drawn anew beside an attitude that was wrong.
 
     Whether there ever was that fault nothing shows any more: what was known of it is forgotten with
-    the hypotheses. So the whole of it may be there, or none, until such a fault is over.
+    the hypotheses, and so is what was only suspected. So the whole of it may be there, or none,
+    until such a fault is over.
     """
     for axis in range(3):
-        square = b.held[axis] * b.held[axis]
+        square = suspected_square(x, k, b, o, axis) + b.held[axis] * b.held[axis]
         b.let_go[0 if axis < 2 else 1] += square
         x.gnss_offset_var[0 if axis < 2 else 1] += square
         b.held[axis] = 0.0
         b.drift[axis] = 0.0
+        b.fade[axis] = 0.0
+
+
+def suspected_square(x: State, k: Parameters, b: Bank, o: Observation, axis: int) -> float:
+    """Return the mean square of what a receiver is off by on one axis, n e d, beside what is held.
+
+    As the hypotheses have it, m^2.
+    """
+    square = 0.0
+    o.rows = 2 if axis < 2 else 1
+    r = axis if axis < 2 else 0
+    for i in range(b.n):
+        h = address(b.instance[i])
+        source = k.fault[h.kind].source
+        is_its = cython.declare(cython.bint, source == SOURCE_HEIGHT or source == SOURCE_FALL)
+        if axis < 2:
+            is_its = source == SOURCE_POSITION or source == SOURCE_DRAG
+        if is_its and not shape.is_end(h.kind):
+            shape.find_direct(x, b, h, o, AID_POSITION if axis < 2 else AID_HEIGHT)
+            off = 0.0
+            for c in range(h.rows):
+                off += b.trial.T[r][c] * h.b[c]
+            square += h.p * off * off
+    return square
 
 
 def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
@@ -380,6 +427,17 @@ def drive_on(x: State, b: Bank, axis: int, rate: float, var: float) -> None:
     if b.drift[axis] * b.drift[axis] < THREE_SIGMA2 * var:
         b.drift[axis] = 0.0
     b.drift_t[axis] = x.t
+    b.driven_t[axis] = x.t
+
+
+def fade_on(x: State, b: Bank, axis: int, h: Instance) -> None:
+    """Let what is held fade by a rate that was found, from its onset on."""
+    rate = SETTLING * exp(h.b[1])
+    left = exp(-rate * (x.t - h.t0) * 1e-9)
+    hold(b, axis, -b.held[axis] * (1.0 - left))
+    b.fade[axis] = rate
+    b.fade_var[axis] = h.M[1][1]
+    b.faded_from[axis] = b.held[axis]
     b.driven_t[axis] = x.t
 
 
@@ -417,6 +475,13 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
             b.driven_t[axis] = x.t
             b.held[axis] += b.drift[axis] * dt
             add_variance(x, E_GNSS + axis if axis < 3 else E_BARO, var)
+        elif b.fade[axis] != 0.0:
+            before = b.faded_from[axis] - b.held[axis]
+            b.held[axis] *= exp(-b.fade[axis] * (x.t - b.driven_t[axis]) * 1e-9)
+            now = b.faded_from[axis] - b.held[axis]
+            b.driven_t[axis] = x.t
+            if now * now > before * before:
+                add_variance(x, E_GNSS + axis, b.fade_var[axis] * (now * now - before * before))
 
 
 def mix(x: State, k: Parameters, b: Bank) -> None:
@@ -440,7 +505,7 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
         for i in range(9):
             b.work[i] = 0.0
         for c in range(h.rows):
-            columns.look_ahead(b, h.U[c], b.ahead[c])
+            columns.look_ahead(b, n, c, b.ahead[c])
             for i in range(9):
                 b.work[i] += b.ahead[c][i] * h.b[c]
         source = k.fault[h.kind].source

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.memory.bank import Bank
-from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import EVEN, NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import WEIGH_ACT
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
@@ -35,15 +35,20 @@ next window has shown whether that was all."""
 
 
 def begin(b: Bank) -> None:
-    """Begin with the usual noise, or with what was learnt before."""
+    """Begin with the noise that is configured, or with what was learnt before.
+
+    From the usual, smaller one no vibration could be learnt within seconds.
+    """
     b.window_t = NEVER
     if b.information == 0.0:
-        b.log_share = USUAL_LOG_SHARE
+        b.log_share = 0.0
 
 
 def add_to_window(b: Bank, first: int, o: Observation) -> None:
     """Add a reading to the window by which the inertial noise is learnt."""
     for r in range(o.rows):
+        if b.wrong[1 if b.group[r] != 0.0 else 0] > EVEN:  # what is wrong says nothing of ours
+            continue
         for c in range(3):
             b.lam[first + c] += b.trial.T[r][c] * o.y[r]
             b.Lam[first + c] += b.trial.T[r][c] * b.trial.T[r][c]

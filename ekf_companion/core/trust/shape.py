@@ -8,8 +8,8 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.past import acceleration_at, gained_until
-from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.bank import MOVING, Bank, Instance
+from cython.cimports.ekf_companion.core.memory.constants import SETTLING, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -37,6 +37,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_DELAY,
     FAULT_DRAG,
     FAULT_DRAG_RAMP,
+    FAULT_FADE,
+    FAULT_FADE_HEIGHT,
     FAULT_FALL,
     FAULT_FALL_RAMP,
     FAULT_FIELD,
@@ -70,13 +72,18 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search
 from cython.cimports.libc.math import exp
 
+SETTLING_VAR = cython.declare(cython.double, 0.4)
+"""Variance of the logarithm of that: 1.9 times faster or slower, half of what the times of
+``onsets.begin_settling`` are apart."""
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
 
 def is_end(kind: int) -> bool:
     """Return whether a hypothesis is that declared faults have ended."""
-    return kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT or is_halt(kind)
+    return (
+        kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT or is_halt(kind) or is_fading(kind)
+    )
 
 
 def is_halt(kind: int) -> bool:
@@ -84,9 +91,14 @@ def is_halt(kind: int) -> bool:
     return kind == FAULT_HALT or kind == FAULT_HALT_HEIGHT or kind == FAULT_HALT_BARO
 
 
+def is_fading(kind: int) -> bool:
+    """Return whether a hypothesis is that what was declared fades."""
+    return kind == FAULT_FADE or kind == FAULT_FADE_HEIGHT
+
+
 def first_axis(kind: int) -> int:
     """Return the first of the axes that an end is about: position n e d, barometer."""
-    if kind == FAULT_RECOVERY or kind == FAULT_HALT:
+    if kind == FAULT_RECOVERY or kind == FAULT_HALT or kind == FAULT_FADE:
         return 0
     return 3 if kind == FAULT_HALT_BARO else 2
 
@@ -100,6 +112,8 @@ def can_begin(x: State, b: Bank, kind: int) -> bool:
     """Return whether a fault can begin: what ends is larger than all that is not known of it."""
     if is_halt(kind):
         return slide_square(b, kind) > 0.0
+    if is_fading(kind) and slide_square(b, kind) > 0.0:  # it slides on, and does not come back
+        return False
     return not is_end(kind) or held_square(b, kind) > THREE_SIGMA2 * end_variance(x, b, kind)
 
 
@@ -121,7 +135,7 @@ def slide_square(b: Bank, kind: int) -> float:
 
 def end_variance(x: State, b: Bank, kind: int) -> float:
     """Return the variance of how far ours is from where the receiver is right again, m^2."""
-    if kind == FAULT_RECOVERY:
+    if first_axis(kind) == 0:
         return x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] + b.natural[0]
     return x.P[E_POS + 2][E_POS + 2] + b.natural[1]
 
@@ -134,33 +148,33 @@ def aid_of(kind: int) -> int:
     return AID_HEIGHT if first == 2 else AID_BARO
 
 
-def begin(x: State, b: Bank, h: Instance) -> None:
+def begin(x: State, b: Bank, i: int) -> None:
     """Write what a fault of the state adds to it at once: U."""
+    h = address(b.instance[i])
     kind = h.kind
     if kind == FAULT_ACCEL_STEP or kind == FAULT_ACCEL_NOISE:
         for c in range(3):
-            h.U[c][E_BA + c] = 1.0
+            b.U[c][E_BA + c][i] = 1.0
     elif kind == FAULT_GYRO_STEP or kind == FAULT_GYRO_NOISE:
         for c in range(3):
-            h.U[c][E_BG + c] = 1.0
+            b.U[c][E_BG + c][i] = 1.0
     elif kind == FAULT_KICK:
         for c in range(3):
-            h.U[c][E_VEL + c] = 1.0
+            b.U[c][E_VEL + c][i] = 1.0
     elif kind == FAULT_TILT:
-        h.U[0][E_ATT] = 1.0
-        h.U[1][E_ATT + 1] = 1.0
+        b.U[0][E_ATT][i] = 1.0
+        b.U[1][E_ATT + 1][i] = 1.0
     elif kind == FAULT_YAW:
-        h.U[0][E_ATT + 2] = 1.0
+        b.U[0][E_ATT + 2][i] = 1.0
     elif kind == FAULT_SETTLE:  # ours began at the first fix
-        h.U[0][E_POS] = -1.0
-        h.U[1][E_POS + 1] = -1.0
+        b.U[0][E_POS][i] = -1.0
+        b.U[1][E_POS + 1][i] = -1.0
     elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
-        h.U[0][E_POS + 2] = -1.0
-        h.U[0][E_BARO] = -1.0
+        b.U[0][E_POS + 2][i] = -1.0
+        b.U[0][E_BARO][i] = -1.0
     elif kind == FAULT_DELAY:  # about what fits best; what that adds is known, and no part of b
         h.tau = delay_search.best(b)
         h.b[0] = h.tau
-        h.rows = 2
         h.b[1] = 1.0
         h.M[1][1] = 0.0
     elif is_end(kind):
@@ -169,9 +183,28 @@ def begin(x: State, b: Bank, h: Instance) -> None:
             h.M[0][0] = b.drift_var[first_axis(kind)] / slide_square(b, kind)
         else:
             h.M[0][0] = end_variance(x, b, kind) / held_square(b, kind)
+        h.M[1][1] = SETTLING_VAR if is_fading(kind) else 0.0
         for axis in range(first_axis(kind), last_axis(kind) + 1):
             if axis < 3:
-                h.U[0][E_GNSS_VEL + axis] = -x.gnss_vel_offset[axis]
+                b.U[0][E_GNSS_VEL + axis][i] = -x.gnss_vel_offset[axis]
+
+
+def is_absorbed(x: State, b: Bank, i: int) -> bool:
+    """Return whether of an error of our own nothing is left beyond what is not known anyway.
+
+    It has no source that goes on to be wrong: the filter itself has found it.
+    """
+    h = address(b.instance[i])
+    for e in range(MOVING):
+        off = 0.0
+        var = 0.0
+        for c in range(h.rows):
+            off += b.U[c][e][i] * h.b[c]
+            for d in range(h.rows):
+                var += b.U[c][e][i] * h.M[c][d] * b.U[d][e][i]
+        if off * off + var > x.P[e][e]:
+            return False
+    return True
 
 
 def keep_field_slope(b: Bank, o: Observation) -> None:
@@ -206,12 +239,15 @@ def take_off(x: State, o: Observation, aid: int) -> None:
                 o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
 
 
-def add_direct(x: State, b: Bank, h: Instance, o: Observation, aid: int, T: Dcm) -> None:
-    """Add to T what a fault adds to the reading itself: D."""
+def find_direct(x: State, b: Bank, h: Instance, o: Observation, aid: int) -> None:
+    """Write what a fault adds to the reading itself: D, as ``b.trial.T[row][component]``."""
+    for r in range(3):
+        for c in range(3):
+            b.trial.T[r][c] = 0.0
     if h.kind != FAULT_DELAY:
-        add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, T)
+        add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, b.trial.T)
     elif aid <= AID_VELOCITY:
-        add_delay(x, b, h.tau, o, aid, T)
+        add_delay(x, b, h.tau, o, aid, b.trial.T)
 
 
 def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm) -> None:
@@ -279,8 +315,15 @@ def add_shape(
     elif is_end(kind):
         if aid == aid_of(kind):
             first = first_axis(kind)
+            left = exp(-SETTLING * since)
             for r in range(o.rows):
-                T[r][0] -= b.drift[first + r] * since if is_halt(kind) else b.held[first + r]
+                if is_halt(kind):
+                    T[r][0] -= b.drift[first + r] * since
+                elif is_fading(kind):
+                    T[r][0] -= b.held[first + r] * (1.0 - left)
+                    T[r][1] -= b.held[first + r] * left * SETTLING * since
+                else:
+                    T[r][0] -= b.held[first + r]
     elif kind == FAULT_VELOCITY_TURN:
         if aid == AID_VELOCITY:
             T[0][0] -= x.vel_n[1]

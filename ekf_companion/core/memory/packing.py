@@ -1,0 +1,49 @@
+"""Fault hypotheses as they are kept outside of the kernel: no place that is empty."""
+
+from typing import Any
+
+import numpy as np
+
+from ekf_companion.core.memory.bank import BANK, INSTANCES, Bank
+from ekf_companion.core.memory.enums import N
+from ekf_companion.core.memory.overlay import as_banks, bank_size
+from ekf_companion.nav.arrays import Array
+
+AT = Bank.U.offset // 8
+
+
+def pack(numbers: Array) -> Array:
+    """Return of a bank, shape (BANK,), what outlives a step: instances, then their columns."""
+    banks: Any = as_banks(numbers[None])
+    bank = banks[0]
+    U = numbers[AT : AT + 3 * N * INSTANCES].reshape(3, N, INSTANCES)
+    parts = [U[c, :, :n].ravel() for c, n in enumerate((bank.n, bank.pairs, bank.triples))]
+    return np.concatenate([numbers[: bank_size(bank)], *parts])
+
+
+def unpack(packed: Array) -> Array:
+    """Return a bank, shape (BANK,), of what :func:`pack` made of it; of nothing an empty one.
+
+    Raises:
+        ValueError: It holds too few numbers, or too many, for the instances that it names.
+    """
+    numbers = np.zeros(BANK)
+    if not len(packed):
+        return numbers
+    head = min(len(packed), AT)
+    numbers[:head] = packed[:head]
+    banks: Any = as_banks(numbers[None])
+    bank = banks[0]
+    counts = bank.n, bank.pairs, bank.triples
+    size = bank_size(bank) if head == AT or len(packed) >= Bank.instance.offset // 8 else 0
+    if not INSTANCES >= bank.n >= bank.pairs >= bank.triples >= 0 or len(packed) != size + N * sum(
+        counts
+    ):
+        raise ValueError(f"{len(packed)} numbers are no bank of fault hypotheses")
+    numbers[size:head] = 0.0
+    U = numbers[AT : AT + 3 * N * INSTANCES].reshape(3, N, INSTANCES)
+    rest = packed[size:]
+    for c, n in enumerate(counts):
+        U[c, :, :n] = rest[: N * n].reshape(N, n)
+        rest = rest[N * n :]
+    return numbers
