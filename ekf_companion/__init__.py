@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     )
     from ekf_companion.filters.own_aid import OwnAid
     from ekf_companion.replay.filters_by_name import FilterName, run_filter
+    from ekf_companion.replay.pose_aid import with_poses
     from ekf_companion.replay.read import read as open_log
 
 __all__ = [
@@ -71,6 +72,7 @@ __all__ = [
     "estimate",
     "open_log",
     "run_filter",
+    "with_poses",
 ]
 _PLACES = {
     "Estimates": ("arrays.estimates", "Estimates"),
@@ -86,6 +88,7 @@ _PLACES = {
     "estimate": ("arrays.run", "estimate"),
     "open_log": ("replay.read", "read"),
     "run_filter": ("replay.filters_by_name", "run_filter"),
+    "with_poses": ("replay.pose_aid", "with_poses"),
 }
 
 

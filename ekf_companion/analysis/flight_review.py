@@ -24,6 +24,7 @@ from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
 from ekf_companion.replay.log_source import onboard
+from ekf_companion.replay.pose_aid import PoseFile
 from ekf_companion.replay.run import Progress
 from ekf_companion.replay.watched import Look, WatchedPipeline
 from ekf_companion.replay.worker import Block
@@ -131,6 +132,7 @@ def review(
     config: Config,
     progress: Progress | None = None,
     truth: Trajectory | None = None,
+    aid: PoseFile | None = None,
 ) -> FlightReview:
     """Run the estimator over a log, and collect what a report shows of it.
 
@@ -139,14 +141,16 @@ def review(
         config: The estimator's configuration.
         progress: Called with how much is done.
         truth: From a file beside the log; None: the log's own, where it holds one.
+        aid: Poses of another estimator, which are merged into the log.
 
     Raises:
         LogError: The log cannot be read, nothing can be estimated from it, or the truth is of
             another time.
     """
-    examined = Review(path, config, WatchedPipeline)
+    examined = Review(path, config, WatchedPipeline, aid=aid)
     blocks = list(examined.blocks(progress))
     run, report = examined.run, examined.finish()
+    config = run.config
     take_truth(report, truth)
     stretches = report.track.stretches
     shifts_ns = stretches.shifts_ns()

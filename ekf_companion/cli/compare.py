@@ -14,6 +14,7 @@ from ekf_companion.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
     from ekf_companion.nav.state import Trajectory
+    from ekf_companion.replay.pose_aid import PoseFile
     from ekf_companion.review.report import Report
 
 _WITHOUT_REFERENCE = (
@@ -57,17 +58,27 @@ def compare(
         ),
     ] = None,
     smooth: terminal.SmoothOption = False,
+    aid: terminal.AidOption = None,
+    aid_offset: terminal.AidOffsetOption = None,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Compare our estimate, or several filters', with a truth or the autopilot's own."""
     with terminal.exit_on_error():
-        inputs = {"the log": log, "the reference": reference, "the configuration": config}
+        inputs = {
+            "the log": log,
+            "the reference": reference,
+            "the configuration": config,
+            "the poses": aid,
+        }
         terminal.check_outputs(inputs, [("--plot", plot)])
+        poses = terminal.pose_file(aid, aid_offset)
         if filters is None:
             ours = _ours(
-                log, terminal.load(config), reference, is_smoothed=smooth, is_silent=as_json
+                log, terminal.load(config), reference, poses, is_smoothed=smooth, is_silent=as_json
             )
             _compare_ours(log, ours, reference, (skip, until), plot, as_json)
+        elif poses is not None:
+            raise ConfigError("--aid: aids eskf only; leave --filters or --aid out")
         elif smooth:
             raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
         else:
@@ -97,7 +108,13 @@ class _Ours(NamedTuple):
 
 
 def _ours(
-    log: Path, config: Config, reference: Path | None, *, is_smoothed: bool, is_silent: bool
+    log: Path,
+    config: Config,
+    reference: Path | None,
+    aid: PoseFile | None,
+    *,
+    is_smoothed: bool,
+    is_silent: bool,
 ) -> _Ours:
     """Run the estimator over a log and print the verdict, or read an estimate that it wrote."""
     from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate, read_truth
@@ -111,15 +128,19 @@ def _ours(
             raise ConfigError(
                 f"--smooth: {log} is an estimate already; name the log that it was made from"
             )
+        if aid is not None:
+            raise ConfigError(
+                f"--aid: {log} is an estimate already; name the log that it was made from"
+            )
         return _Ours(read_estimate(log), [])
     live: list[Trajectory] = []
     with progress_line(log.name) as progress:
         if is_smoothed:
-            table, smoothed, report = converter.estimate_and_smooth(log, config, progress)
+            table, smoothed, report = converter.estimate_and_smooth(log, config, progress, aid)
             estimate = of_table(smoothed, "ekf-companion, smoothed")
             live.append(of_table(table, "ekf-companion, live"))
         else:
-            table, report = converter.estimate(log, config, progress)
+            table, report = converter.estimate(log, config, progress, aid)
             estimate = of_table(table, "ekf-companion")
     if not is_silent:
         if reference is not None and not is_estimate(reference):

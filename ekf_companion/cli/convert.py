@@ -29,6 +29,8 @@ def convert(
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
     ] = None,
     smooth: terminal.SmoothOption = False,
+    aid: terminal.AidOption = None,
+    aid_offset: terminal.AidOffsetOption = None,
     as_json: terminal.JsonOption = False,
     name: Annotated[
         str, typer.Option("--filter", help="NAME or NAME:OPTION; ? lists them.")
@@ -46,19 +48,27 @@ def convert(
     from ekf_companion.review.verdict import judge_log
 
     with terminal.exit_on_error(), progress_line(log.name) as progress:
-        inputs = {"the log": log, "the configuration": config, "the reference": reference}
+        inputs = {
+            "the log": log,
+            "the configuration": config,
+            "the reference": reference,
+            "the poses": aid,
+        }
         terminal.check_outputs(inputs, [("--out", out) for out in outs])
         truth = terminal.read_truth(reference)
+        poses = terminal.pose_file(aid, aid_offset)
         is_piped = Path("-") in outs  # the summary does not follow the numbers
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
+            if poses is not None:
+                raise ConfigError("--aid: aids eskf only; leave it or --filter out")
             solution = converter.convert_by(chosen, log, outs, terminal.load(config), rate)
             data, lines = solution.to_dict(), [f"{log}:", *solution.summary()]
         else:
             report = converter.convert(
-                log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
+                log, outs, terminal.load(config), rate, progress, is_smoothed=smooth, aid=poses
             )
             take_truth(report, truth)
             judgement = judge_log(report)

@@ -20,6 +20,8 @@ def report(
     ] = None,
     config: terminal.ConfigOption = None,
     reference: terminal.TruthOption = None,
+    aid: terminal.AidOption = None,
+    aid_offset: terminal.AidOffsetOption = None,
     png: Annotated[bool, typer.Option("--png", help="Draw a .png beside it too.")] = False,
     as_json: terminal.JsonOption = False,
 ) -> None:
@@ -27,7 +29,12 @@ def report(
     from ekf_companion.analysis import flight_review, report_page, trajectory_figure
 
     with terminal.exit_on_error(), progress_line(log.name) as progress:
-        inputs = {"the log": log, "the configuration": config, "the reference": reference}
+        inputs = {
+            "the log": log,
+            "the configuration": config,
+            "the reference": reference,
+            "the poses": aid,
+        }
         terminal.check_outputs(inputs, [("--out", out)])
         if out is not None and out.suffix.lower() not in (".html", ".htm"):
             raise ConfigError(
@@ -38,7 +45,8 @@ def report(
         if png:
             require("plot", "--png", "matplotlib.figure")
         truth = terminal.read_truth(reference)
-        found = flight_review.review(log, terminal.load(config), progress, truth)
+        poses = terminal.pose_file(aid, aid_offset)
+        found = flight_review.review(log, terminal.load(config), progress, truth, poses)
         progress.stage(f"{log.name}: writing the report")
         path = out if out is not None else terminal.beside(log, "report", ".html")
         report_page.write(path, found)

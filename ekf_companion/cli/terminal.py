@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ekf_companion.fleet.executor import Executor
     from ekf_companion.logs.recording import Recording
     from ekf_companion.nav.state import Trajectory
+    from ekf_companion.replay.pose_aid import PoseFile
 
 LogArgument = Annotated[
     Path, typer.Argument(help=".tlog, .bin, .ulg, .csv; also .txt (OpenShoe), .mat (BROAD).")
@@ -55,6 +56,22 @@ TruthOption = Annotated[
     Path | None,
     typer.Option("--reference", help="Truth as .csv, to judge by; else what the log itself holds."),
 ]
+AidOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--aid",
+        help="Poses of another estimator: .csv or --rel of `lidar`, TUM, EuRoC; used as odometry.",
+    ),
+]
+AidOffsetOption = Annotated[
+    float | None,
+    typer.Option(
+        "--aid-offset",
+        help="Added to its times, s; else found by the turns of both.",
+        min=-1e10,
+        max=1e10,
+    ),
+]
 SmoothOption = Annotated[
     bool, typer.Option("--smooth", help="Smooth: each estimate uses the whole flight.")
 ]
@@ -82,6 +99,21 @@ def executor(jobs: int, dask: str | None) -> Executor:
     from ekf_companion.fleet.executor import Processes
 
     return Processes(jobs)
+
+
+def pose_file(path: Path | None, offset: float | None) -> PoseFile | None:
+    """Return the poses that are to aid, as the options name them.
+
+    Raises:
+        ConfigError: An offset is given without a file.
+    """
+    if path is None:
+        if offset is not None:
+            raise ConfigError("--aid-offset: is of the poses that --aid names; name them")
+        return None
+    from ekf_companion.replay.pose_aid import PoseFile
+
+    return PoseFile(path, offset)
 
 
 def read_truth(path: Path | None) -> Trajectory | None:

@@ -14,10 +14,11 @@ from ekf_companion.lidar.calibration import calibrate
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, VEL, exp
+from ekf_companion.lidar.state import ATT, DOWN, POS, VEL, exp
 from ekf_companion.lidar.track import SEEN, UPPER_POSE, Track
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.relative_pose import COVARIANCE, LEVEL, SINCE
 
 NAMED = 1.0
 """Shortest time without hold that is named, s."""
@@ -83,6 +84,13 @@ class Solution:
         if self.track.last is None:
             return float("nan")
         return float(np.sqrt(np.linalg.eigvalsh(self.track.last.P[POS, POS])[-1]))
+
+    @property
+    def level(self) -> float:
+        """Return one sigma of how the levelled world is tilted, rad."""
+        if self.track.last is None:
+            return float("nan")
+        return float(np.sqrt(np.linalg.eigvalsh(self.track.last.P[DOWN, DOWN])[-1]))
 
     def sigmas(self, block: slice) -> Array:
         """Return those of attitude (body), position or velocity (levelled world), shape (n, 3)."""
@@ -205,15 +213,21 @@ def lines_of(solution: Solution, kind: str) -> Iterator[str]:
         yield (
             "t_s,x_m,y_m,z_m,qx,qy,qz,qw,vx_m_s,vy_m_s,vz_m_s,"
             "sigma_x_m,sigma_y_m,sigma_z_m,sigma_rx_rad,sigma_ry_rad,sigma_rz_rad,"
-            "sigma_vx_m_s,sigma_vy_m_s,sigma_vz_m_s,rows"
+            f"sigma_vx_m_s,sigma_vy_m_s,sigma_vz_m_s,rows,{LEVEL},{SINCE}," + ",".join(COVARIANCE)
         )
         track = solution.track
         vel = track.vel_w @ solution.C_level.T
         sigmas = [solution.sigmas(block) for block in (POS, ATT, VEL)]
         numbers = np.hstack([solution.poses, vel, *sigmas])
+        ends = {float(one[1]): one for one in solution.relatives()}
         for row, used in zip(numbers, track.used, strict=True):
             words = [f"{value:.9g}" for value in row[1:]]
-            yield ",".join([f"{row[0]:.6f}", *words, str(int(used))])
+            words += [str(int(used)), f"{solution.level:.9g}"]
+            if (relative := ends.get(float(row[0]))) is None:
+                words += [""] * (1 + len(COVARIANCE))
+            else:
+                words += [f"{relative[0]:.6f}", *(f"{one:.9g}" for one in relative[9:])]
+            yield ",".join([f"{row[0]:.6f}", *words])
     elif kind == "ply":
         yield "ply\nformat ascii 1.0"
         yield f"element vertex {len(solution.points)}"

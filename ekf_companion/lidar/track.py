@@ -7,11 +7,11 @@ import numpy as np
 from ekf_companion.lidar.odometry import Estimate, RelativePose
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask
+from ekf_companion.nav.relative_pose import UPPER as UPPER_POSE
 
 SEEN = 9
 """Error states whose covariance is kept: attitude, position, velocity."""
 UPPER = np.triu_indices(SEEN)
-UPPER_POSE = np.triu_indices(6)
 BLOCK = 1024
 """Rows that are made room for at once: nothing is moved when more come."""
 _COLUMNS = {

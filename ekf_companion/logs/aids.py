@@ -65,6 +65,8 @@ _POSITION, _ROTATION, _VELOCITY = (
     tuple(f"{name}[{axis}]" for axis in range(size))
     for name, size in (("position", 3), ("q", 4), ("velocity", 3))
 )
+DRIFT = ("xx", "yx", "yy", "zx", "zy", "zz")
+"""Lower triangle of the Cholesky factor of a drift's covariance."""
 _FIELDS = ("current_distance", "min_distance", "max_distance")
 
 
@@ -363,8 +365,9 @@ LOGGED = {
             **dict.fromkeys(("odometry_x", "odometry_y", "odometry_z"), "m"),
             "odometry_yaw": "rad",
             "odometry_std": "m",
-            "odometry_yaw_std": "rad",
+            "odometry_yaw_drift": "rad",
             "odometry_counter": "1",
+            **dict.fromkeys((f"odometry_drift_{one}" for one in DRIFT), "m"),
         },
         (Columns("VISP", ("PX", "PY", "PZ"), _visp),),
         (Columns("vehicle_visual_odometry", (*_POSITION, *_ROTATION), _visual_pose),),

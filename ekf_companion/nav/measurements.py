@@ -342,15 +342,20 @@ class PoseSample:
     """Of the body's forward axis from x towards y, rad; None: not known."""
     std: float | None = None
     """One sigma of the position, m, > 0, as the source states it; None: not known."""
-    yaw_std: float | None = None
-    """One sigma of yaw, rad, > 0; None: not known."""
     counter: int | None = None
     """Moves when the source begins a new frame; None: it does not say."""
+    yaw_drift: float | None = None
+    """One sigma by which yaw has drifted since the pose before, rad; None: not stated."""
+    drift: tuple[float, float, float, float, float, float] | None = None
+    """How far it may have drifted since the pose before, in its frame: the Cholesky factor of that
+    covariance, m, its lower triangle row by row; None: not stated."""
 
     def row(self) -> Row:
-        """Return the row [x y z, yaw, std, yaw std, counter]."""
-        stds = (self.std, self.yaw_std, self.counter)
-        return make_row(self.t_ns, Kind.POSE, self.x, self.y, self.z, self.yaw, *stds)
+        """Return the row [x y z, yaw, std, yaw drift, counter, drift xx yx yy zx zy zz]."""
+        pose = (self.x, self.y, self.z, self.yaw)
+        drift = self.drift or (None,) * 6
+        stated = (self.std, self.yaw_drift, self.counter, *drift)
+        return make_row(self.t_ns, Kind.POSE, *pose, *stated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,7 @@ from ekf_companion.review.review import Review
 
 if TYPE_CHECKING:
     from ekf_companion.filters.solution import Solution
+    from ekf_companion.replay.pose_aid import PoseFile
 
 
 def convert(
@@ -37,6 +38,7 @@ def convert(
     progress: Progress | None = None,
     *,
     is_smoothed: bool = False,
+    aid: PoseFile | None = None,
 ) -> Report:
     """Re-run the estimator over a log and write its estimates.
 
@@ -50,6 +52,7 @@ def convert(
         rate: Estimates per second at most, Hz; None: all, but on maps.
         progress: Called with how much is done.
         is_smoothed: Whether each estimate uses the whole log, not only what came before it.
+        aid: Poses of another estimator, which are merged into the log.
 
     Raises:
         LogError: The log cannot be read, or nothing can be estimated from it.
@@ -60,10 +63,12 @@ def convert(
     for out in outs:
         _check_output(path, out, is_smoothed=is_smoothed)
     files = [out for out in outs if out.suffix != ".tlog"]
-    report = _convert_to_files(path, files, config, rate, progress, is_smoothed) if files else None
+    report = None
+    if files:
+        report = _convert_to_files(path, files, config, rate, progress, is_smoothed, aid)
     for out in outs:
         if out.suffix == ".tlog":
-            report = _convert_to_messages(path, out, config, progress)
+            report = _convert_to_messages(path, out, config, progress, aid)
     assert report is not None, "no output"
     return report
 
@@ -88,14 +93,15 @@ def _convert_to_files(
     rate: float | None,
     progress: Progress | None,
     is_smoothed: bool,
+    aid: PoseFile | None,
 ) -> Report:
     review: Review[Smoothing] | Review[Pipeline]
     with ExitStack() as stack:
         if is_smoothed:
-            review = Review(path, config, Smoothing)
+            review = Review(path, config, Smoothing, aid=aid)
             tables = _smoothed(review, progress)
         else:
-            review = Review(path, config, Pipeline)
+            review = Review(path, config, Pipeline, aid=aid)
             tables = (block.table for block in review.blocks(progress))
         run = review.run
         label = cache(lambda: Label(path.name, utc_zero_ns(run.log, run.autopilot)))
@@ -114,9 +120,9 @@ def _convert_to_files(
 
 
 def _convert_to_messages(
-    path: Path, out: Path, config: Config, progress: Progress | None
+    path: Path, out: Path, config: Config, progress: Progress | None, aid: PoseFile | None
 ) -> Report:
-    review = Review(path, config, Pipeline, Mode.ROWS)
+    review = Review(path, config, Pipeline, Mode.ROWS, aid)
     log = review.run.log
     if isinstance(log, Recording) and log.events.t_ns.min(initial=0) < 0:
         raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
@@ -158,27 +164,29 @@ def convert_by(
     return replace(solution, notes=(*solution.notes, *recording.notes))
 
 
-def estimate(path: Path, config: Config, progress: Progress | None = None) -> tuple[Table, Report]:
+def estimate(
+    path: Path, config: Config, progress: Progress | None = None, aid: PoseFile | None = None
+) -> tuple[Table, Report]:
     """Re-run the estimator; return all estimates, and the report, with what the log says itself.
 
     Raises:
         LogError: As :func:`convert`.
     """
-    review = Review(path, config, Pipeline)
+    review = Review(path, config, Pipeline, aid=aid)
     tables = [block.table for block in review.blocks(progress)]
     report = review.finish()  # raises where there is no table
     return join(tables), report
 
 
 def estimate_and_smooth(
-    path: Path, config: Config, progress: Progress | None = None
+    path: Path, config: Config, progress: Progress | None = None, aid: PoseFile | None = None
 ) -> tuple[Table, Table, Report]:
     """Do the same, and return the smoothed estimates behind those of the live filter.
 
     Raises:
         LogError: As :func:`convert`.
     """
-    review = Review(path, config, Smoothing)
+    review = Review(path, config, Smoothing, aid=aid)
     live: list[Table] = []
     smoothed = list(_smoothed(review, progress, live))
     report = review.finish()

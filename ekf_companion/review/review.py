@@ -21,6 +21,7 @@ from ekf_companion.review.receivers import ReceiverCheck
 from ekf_companion.review.report import Report, add_block, note_shortcomings
 
 if TYPE_CHECKING:
+    from ekf_companion.replay.pose_aid import PoseFile
     from ekf_companion.review.agreement import AgreementCheck
 
 P = TypeVar("P", bound=Pipeline)
@@ -30,10 +31,16 @@ class Review(Generic[P]):
     """Looks at each block of a run, and reports on the whole."""
 
     def __init__(
-        self, path: Path, config: Config, kind: Callable[..., P], mode: Mode = Mode.BLOCKS
+        self,
+        path: Path,
+        config: Config,
+        kind: Callable[..., P],
+        mode: Mode = Mode.BLOCKS,
+        aid: PoseFile | None = None,
     ) -> None:
         """Open a log; arguments and errors as for :class:`ekf_companion.replay.run.Run`."""
-        self.run = Run(path, config, kind, mode)
+        self.run = Run(path, config, kind, mode, aid)
+        config = self.run.config
         self._path, self._config = path, config
         log = self.run.log
         self._report = Report(log=str(path), damage=log.damage)

@@ -4,7 +4,9 @@ It knows where it is in a frame of its own, whose place and heading nobody else 
 drifts there. So its frame's place and yaw in n are slow errors: they are found by our own estimate
 when it begins, and where GNSS is lost position and yaw are no surer than they are. The place walks
 with the way that is travelled: that is to fuse the poses between two times, each with its drift,
-and leaves what is white in them white. Scale (of a single camera) and delay are slow errors too.
+and leaves what is white in them white. A source that knows how far it may have drifted from one
+pose to the next states that covariance, and the place walks by it. Scale (of a single camera) and
+delay are slow errors too.
 
 The place is that of a pivot, the pose of some metres ago: a drift of yaw or scale turns and
 stretches what is travelled from now on, not what was travelled before.
@@ -23,7 +25,9 @@ from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.past import gained_until
 from cython.cimports.ekf_companion.core.filter.rotation import rotate, to_dcm, wrap
 from cython.cimports.ekf_companion.core.filter.slow_error import (
+    add_covariance,
     add_error,
+    add_variance,
     copy_error,
     reset_variance,
     set_variance,
@@ -56,6 +60,8 @@ DELAY_STD = cython.declare(cython.int, 3)
 ARM = cython.declare(cython.int, 4)
 TIMING_STD = cython.declare(cython.int, 7)
 """Places of its own settings."""
+DRIFT = cython.declare(cython.Py_ssize_t, 7)
+"""First place of the drift's factor in the row, by its lower triangle."""
 PIVOT_AWAY = cython.declare(cython.double, 1.0)
 """Way from the pivot after which there is a new one, m: a yaw that walks by 3e-3 rad/sqrt(s) moves
 what is so far away by 3 mm/sqrt(s), hardly more than the place's own walk in a hover."""
@@ -113,8 +119,14 @@ class VisualOdometry:
     z = Value("m", -1e6, 1e6)
     yaw = Value("rad", -7.0, 7.0, is_optional=True)
     std = Value("m", 0.0, 1e4, is_optional=True)
-    yaw_std = Value("rad", 0.0, 10.0, is_optional=True)
+    yaw_drift = Value("rad", -1e-9, 10.0, is_optional=True)
     counter = Value("1", -1.0, 256.0, is_optional=True)
+    drift_xx = Value("m", -1e5, 1e5, is_optional=True)
+    drift_yx = Value("m", -1e5, 1e5, is_optional=True)
+    drift_yy = Value("m", -1e5, 1e5, is_optional=True)
+    drift_zx = Value("m", -1e5, 1e5, is_optional=True)
+    drift_zy = Value("m", -1e5, 1e5, is_optional=True)
+    drift_zz = Value("m", -1e5, 1e5, is_optional=True)
     north = SlowError("m")
     east = SlowError("m")
     down = SlowError("m")
@@ -365,6 +377,37 @@ def move_pivot(x: State, o: Observation) -> None:
         x.visual_odometry_pivot[i] = x.visual_odometry_pose[i]
 
 
+def widen(x: State, row: Vector) -> None:
+    """Let its frame drift by what the pose states of that since the one before.
+
+    The covariance of the way is stated by its Cholesky factor in its frame: whatever the numbers,
+    their product with themselves is one. What is 0 is not stated.
+    """
+    if row[5] > 0.0:
+        add_variance(x, E_YAW, row[5] * row[5])
+        x.redrawn[E_YAW] += 1.0
+    c = cos(x.visual_odometry_frame_yaw)
+    s = sin(x.visual_odometry_frame_yaw)
+    for j in range(3):  # each column, turned to n
+        along_x = row[DRIFT] if j == 0 else 0.0
+        along_y = row[DRIFT + 1 + j] if j < 2 else 0.0
+        down = row[DRIFT + 3 + j]
+        if isnan(along_x + along_y + down):
+            return
+        if along_x == 0.0 and along_y == 0.0 and down == 0.0:
+            continue
+        north = c * along_x - s * along_y
+        east = s * along_x + c * along_y
+        add_variance(x, E_VISUAL_ODOMETRY, north * north)
+        add_variance(x, E_VISUAL_ODOMETRY + 1, east * east)
+        add_variance(x, E_VISUAL_ODOMETRY + 2, down * down)
+        add_covariance(x, E_VISUAL_ODOMETRY, E_VISUAL_ODOMETRY + 1, north * east)
+        add_covariance(x, E_VISUAL_ODOMETRY, E_VISUAL_ODOMETRY + 2, north * down)
+        add_covariance(x, E_VISUAL_ODOMETRY + 1, E_VISUAL_ODOMETRY + 2, east * down)
+        for i in range(3):
+            x.redrawn[E_VISUAL_ODOMETRY + i] += 1.0
+
+
 def is_new_frame(x: State, k: Parameters, row: Vector, o: Observation) -> bool:
     """Return whether it has begun a new frame: by its counter, or by a leap that is not ours.
 
@@ -406,7 +449,10 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
     """Observe the position: three rows; then, as the second part, yaw: one row."""
     if o.part == 1:
         return observe_yaw(x, k, o, row)
-    if x.mode != MODE_NAVIGATE or x.visual_odometry_contradicts != 0.0 or is_frozen(x, row):
+    if x.mode != MODE_NAVIGATE or x.visual_odometry_contradicts != 0.0:
+        return False
+    widen(x, row)
+    if is_frozen(x, row):
         return False
     if is_new_frame(x, k, row, o):
         x.has_aid[AID_VISUAL_ODOMETRY] = 0.0

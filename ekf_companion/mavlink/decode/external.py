@@ -190,7 +190,6 @@ class External:
                 z=z,
                 yaw=yaw,
                 std=_std(covariance, (0, 6, 11)),
-                yaw_std=_std(covariance, (20,)),
                 counter=getattr(m, "reset_counter", None),
             )
         ]

@@ -1,0 +1,29 @@
+"""How the covariance of a relative pose is written: rows of files have it as an upper triangle.
+
+Its error is that of the position (m) in the earlier body and a rotation vector (rad) of the later
+one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_companion.nav.arrays import Array
+
+UPPER = np.triu_indices(6)
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+COVARIANCE = tuple(
+    f"rel_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*(one.tolist() for one in UPPER), strict=True)
+)
+"""Names of its elements, in m and rad, row by row."""
+SINCE = "rel_since_s"
+"""Name of the time of the earlier pose."""
+LEVEL = "sigma_level_rad"
+"""Name of one sigma of how the world of the poses is tilted."""
+
+
+def square(rows: Array) -> Array:
+    """Return covariances of their upper triangles, shape (n, 6, 6)."""
+    P = np.empty((len(rows), 6, 6))
+    P[:, UPPER[0], UPPER[1]] = P[:, UPPER[1], UPPER[0]] = rows
+    return P
