@@ -30,6 +30,8 @@ TUM, RELATIVE, EUROC = 8, 30, 8
 """Columns of each form; EuRoC's may have more."""
 SAME_NS = 1_000_000
 """Between two stamps that are one: files have them to microseconds, or less."""
+UNKNOWN = np.iinfo(np.int64).min
+"""Stamp of a row that has none."""
 _POSE = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 
@@ -95,6 +97,8 @@ def _unknown(path: Path) -> LogError:
 
 def _numbers(path: Path, text: str, delimiter: str | None) -> Array:
     """Return rows of numbers; an empty cell is NaN."""
+    if not text.strip():
+        raise _unknown(path)
     try:
         rows: Array = np.genfromtxt(io.StringIO(text), delimiter=delimiter, comments="#", ndmin=2)
     except ValueError as error:
@@ -106,15 +110,16 @@ def _numbers(path: Path, text: str, delimiter: str | None) -> Array:
 
 def _stamps(seconds: Array) -> Stamps:
     size = 1.0 if np.nanmedian(seconds) > NANOSECONDS else 1e9
-    known = np.where(np.isfinite(seconds) & (np.abs(seconds) * size < 2.0**62), seconds, -1e9)
-    return np.rint(known * size).astype(np.int64)
+    known = np.isfinite(seconds) & (np.abs(seconds) * size < 2.0**62)
+    t_ns = np.rint(np.where(known, seconds, 0.0) * size).astype(np.int64)
+    return np.where(known, t_ns, UNKNOWN)
 
 
 def _is_pose(t_ns: Stamps, pos: Array, q: Array) -> Mask:
     """Return which rows are finite, a rotation, and later than all before."""
     good = np.isfinite(pos).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
-    good &= t_ns > -1_000_000_000
-    latest = np.maximum.accumulate(np.where(good, t_ns, t_ns.min()))
+    good &= t_ns > UNKNOWN
+    latest = np.maximum.accumulate(np.where(good, t_ns, UNKNOWN))
     good[1:] &= t_ns[1:] > latest[:-1]
     return good
 

@@ -41,7 +41,7 @@ def begun(seed=1):
         past.kept[j][:] = [-0.3 * (15 - j), 0.2 * (15 - j), -0.01 * (15 - j)]
     root = rng.normal(0.0, 0.1, size=(N, N))
     array(x.P)[:] = root @ root.T
-    row = [4.0, -3.0, 1.0, 0.3, NAN, NAN, 3.0]
+    row = [4.0, -3.0, 1.0, 0.3, NAN, NAN, 3.0, *[NAN] * 6]
     assert load().visual_odometry.begin(x, k, row)
     x.has_aid[Aid.VISUAL_ODOMETRY] = 1.0
     return x, k, row
@@ -60,7 +60,7 @@ def turned_on(x):
     x.t = T + 70e6
     x.past.gained[:] = [0.6, -0.4, 0.02]
     x.visual_odometry_ours[:] = [*x.pos_n, 0.7]
-    return [4.1, -3.05, 1.02, 0.31, NAN, NAN, 3.0]
+    return [4.1, -3.05, 1.02, 0.31, NAN, NAN, 3.0, *[NAN] * 6]
 
 
 @pytest.mark.parametrize("part", [0, 1])
@@ -144,6 +144,55 @@ def test_a_frame_ends_by_its_counter_or_by_a_leap_that_is_not_ours(change, is_ne
     assert load().visual_odometry.observe(x, k, Observation(), row) is not is_new
     assert x.has_aid[Aid.VISUAL_ODOMETRY] == (0.0 if is_new else 1.0)
     assert list(x.pos_n) == position
+
+
+def widened(x, k, yaw_drift, drift):
+    """Return what a pose makes of the covariance by the drift that it states."""
+    y = copy(x)
+    load().visual_odometry.widen(y, [4.0, -3.0, 1.0, 0.3, NAN, yaw_drift, 3.0, *drift])
+    return array(y.P) - array(x.P), y
+
+
+def test_the_drift_that_a_pose_states_is_added_to_its_frame():
+    x, k, _ = begun()
+    x.visual_odometry_frame_yaw = 0.4
+    drift = [0.3, -0.1, 0.2, 0.05, 0.07, -0.4]
+    L = np.zeros((3, 3))
+    L[np.tril_indices(3)] = drift
+    c, s = np.cos(0.4), np.sin(0.4)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    added, y = widened(x, k, 0.02, drift)
+    place = slice(E_VISUAL_ODOMETRY, E_VISUAL_ODOMETRY + 3)
+    np.testing.assert_allclose(added[place, place], turn @ L @ L.T @ turn.T, atol=1e-12)
+    assert added[E_YAW, E_YAW] == pytest.approx(0.02**2)
+    added[place, place], added[E_YAW, E_YAW] = 0.0, 0.0
+    assert not added.any()
+    # what is smoothed later knows no more of the frame before than of it now
+    assert [
+        y.redrawn[E_VISUAL_ODOMETRY + i] > x.redrawn[E_VISUAL_ODOMETRY + i] for i in range(5)
+    ] == [
+        *[True] * 4,
+        False,
+    ]
+
+
+@pytest.mark.parametrize("drift", [[NAN] * 6, [0.0] * 6])
+@pytest.mark.parametrize("yaw_drift", [NAN, 0.0])
+def test_a_pose_that_states_no_drift_leaves_its_frame_as_it_is(yaw_drift, drift):
+    x, k, _ = begun()
+    added, y = widened(x, k, yaw_drift, drift)
+    assert not added.any()
+    assert list(y.redrawn) == list(x.redrawn)
+
+
+def test_a_pose_that_is_refused_has_drifted_all_the_same():
+    x, k, _ = begun()
+    row = [*turned_on(x)]
+    row[5:] = [0.01, 3.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]
+    row[:3] = list(x.visual_odometry_pose)[:3]  # frozen
+    before = x.P[E_VISUAL_ODOMETRY][E_VISUAL_ODOMETRY]
+    assert not load().visual_odometry.observe(x, k, Observation(), row)
+    assert x.P[E_VISUAL_ODOMETRY][E_VISUAL_ODOMETRY] == pytest.approx(before + 1.0)
 
 
 def test_a_pose_that_repeats_itself_counts_at_rest_only():

@@ -65,7 +65,7 @@ def pose_and_velocity(**fields):
 def test_odometry_is_a_pose_and_a_velocity_in_the_body():
     pose, velocity = pose_and_velocity()
     assert (pose.t_ns, pose.x, pose.y, pose.z, pose.counter) == (10 * SECOND, 1.0, 2.0, 3.0, 7)
-    assert (pose.yaw, pose.std, pose.yaw_std) == pytest.approx((0.5, 0.2, 0.1), rel=1e-6)
+    assert (pose.yaw, pose.std) == pytest.approx((0.5, 0.2), rel=1e-6)
     assert (velocity.x, velocity.y, velocity.z) == (4.0, 5.0, 6.0)
     assert velocity.std == pytest.approx(0.2, rel=1e-6)
     assert not velocity.is_level
@@ -128,9 +128,9 @@ def test_what_has_our_sensors_in_it_or_has_failed_is_refused(fields, why):
     [
         ({"q": (NAN,) * 4}, {"yaw": None}),
         ({"q": (0.0,) * 4}, {"yaw": None}),
-        ({"pose_covariance": [NAN] * 21}, {"std": None, "yaw_std": None}),
-        ({"pose_covariance": [0.0] * 21}, {"std": None, "yaw_std": None}),
-        ({"pose_covariance": [0.04, *[NAN] * 20]}, {"std": None, "yaw_std": None}),
+        ({"pose_covariance": [NAN] * 21}, {"std": None}),
+        ({"pose_covariance": [0.0] * 21}, {"std": None}),
+        ({"pose_covariance": [0.04, *[NAN] * 20]}, {"std": None}),
     ],
 )
 def test_what_it_does_not_know_is_none(fields, known):
