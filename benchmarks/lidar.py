@@ -23,9 +23,10 @@ from benchmarks.document import table
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.solution import Solution, levelled, start
+from ekf_companion.lidar.solution import Solution, start
 from ekf_companion.lidar.state import exp
 from ekf_companion.lidar.track import Track
+from ekf_companion.nav.direction import levelled
 
 SHARED = Path(__file__).parents[2] / "shared"
 HEAD = (

@@ -150,7 +150,7 @@ def review(
     examined = Review(path, config, WatchedPipeline, aid=aid)
     blocks = list(examined.blocks(progress))
     run, report = examined.run, examined.finish()
-    config = run.config
+    config = examined.config
     take_truth(report, truth)
     stretches = report.track.stretches
     shifts_ns = stretches.shifts_ns()

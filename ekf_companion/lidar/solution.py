@@ -14,11 +14,12 @@ from ekf_companion.lidar.calibration import calibrate
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, DOWN, POS, VEL, exp
-from ekf_companion.lidar.track import SEEN, UPPER_POSE, Track
+from ekf_companion.lidar.state import ATT, DOWN, POS, VEL
+from ekf_companion.lidar.track import SEEN, Track
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
-from ekf_companion.nav.relative_pose import COVARIANCE, LEVEL, SINCE
+from ekf_companion.nav.direction import levelled
+from ekf_companion.nav.relative_pose import COVARIANCE, LEVEL, SINCE, UPPER
 
 NAMED = 1.0
 """Shortest time without hold that is named, s."""
@@ -66,7 +67,7 @@ class Solution:
         T = np.zeros((6, SEEN))
         T[:3, POS], T[3:, ATT] = self.C_level, np.eye(3)
         P = T @ self.track.covariance @ T.T
-        return np.hstack([self.track.stamp[:, None], P[:, UPPER_POSE[0], UPPER_POSE[1]]])
+        return np.hstack([self.track.stamp[:, None], P[:, UPPER[0], UPPER[1]]])
 
     def relatives(self) -> Array:
         """Return rows of both times, relative pose, and the upper triangle of its covariance."""
@@ -187,14 +188,6 @@ def solve(recording: Recording, settings: Settings) -> Solution:
         C_level=C_level,
         points=odometry.map.points() @ C_level.T,
     )
-
-
-def levelled(down: Array) -> Array:
-    """Return the smallest rotation that turns a direction down, shape (3, 3)."""
-    axis = so3.cross(down, np.array([0.0, 0.0, -1.0]))
-    sine = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(sine, -down[2]))
-    return exp(axis * (angle / sine)) if sine > 1e-12 else exp(np.array([angle, 0.0, 0.0]))
 
 
 def _xyzw(C: Array) -> list[float]:

@@ -16,7 +16,7 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import read_bytes
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask, Stamps
+from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.relative_pose import COVARIANCE, LEVEL, SINCE, square
 
 KIND = "file of poses"
@@ -117,7 +117,7 @@ def _stamps(seconds: Array) -> Stamps:
 
 def _is_pose(t_ns: Stamps, pos: Array, q: Array) -> Mask:
     """Return which rows are finite, a rotation, and later than all before."""
-    good = np.isfinite(pos).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
+    good: Mask = np.isfinite(pos).all(axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.05)
     good &= t_ns > UNKNOWN
     latest = np.maximum.accumulate(np.where(good, t_ns, UNKNOWN))
     good[1:] &= t_ns[1:] > latest[:-1]
@@ -172,7 +172,7 @@ def _own(path: Path, names: list[str], rows: Array) -> Poses:
     return _checked(path, t_ns, pose[:, 1:4], q, drift=drift)
 
 
-def _drift(t_ns: Stamps, C: Array, begins: Array, ends: Array, P: Array, level: float) -> Drift:
+def _drift(t_ns: Stamps, C: Array, begins: Indices, ends: Indices, P: Array, level: float) -> Drift:
     """Return relative covariances as rates of the rows between their ends.
 
     Before the first and behind the last one the nearest holds.

@@ -50,6 +50,18 @@ def direction_jacobian(to: Array, start: Array) -> Array:
     return np.asarray(basis(start).T @ by_to @ direction_by_angles(to))
 
 
+def levelled(down: Array) -> Array:
+    """Return the smallest rotation that turns a direction to -z, shape (3, 3).
+
+    Of the opposite one, which all half turns turn there, it is that about x.
+    """
+    axis = cross(down, np.array([0.0, 0.0, -1.0]))
+    sine = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(sine, -down[2]))
+    turn = axis * (angle / sine) if sine > 1e-12 else np.array([angle, 0.0, 0.0])
+    return so3.to_matrix(so3.exp(turn))
+
+
 def _ratio(to: Array, start: Array) -> tuple[float, float]:
     """Return angle / sin(angle) between two directions, and its derivative by the cosine."""
     axis = cross(start, to)

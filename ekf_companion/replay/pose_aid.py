@@ -1,11 +1,7 @@
 """Poses of another estimator that a file holds, as an aid of a log.
 
 Both say how the vehicle turns and which way is up: by that the file's clock and body axes become
-the log's. What its place and heading are in the world the filter finds itself.
-
-Source: two clocks by the rates of both: Kelly and Sukhatme 2014, "A general framework for temporal
-calibration of multiple proprioceptive and exteroceptive sensors"; axes by pairs of vectors: Wahba
-1965, by singular values: Markley 1988.
+the log's. Where its world lies and how it is turned the filter finds itself.
 """
 
 from __future__ import annotations
@@ -16,43 +12,37 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ekf_companion.config.config import Config
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.poses import Drift, Poses, read
 from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Stamps, known_rows
+from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.direction import levelled
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.pose_match import (
+    TO_DOWN,
+    Axes,
+    Inertial,
+    agreement_at,
+    find_axes,
+    find_offset,
+    rates_of,
+)
+from ekf_companion.replay.read import read as read_log
 
-GRID = 0.05
-"""Step in which clocks are compared at first, s: a turn lasts for a multiple of it."""
-LEAST_COMMON = 10.0
-"""Time that two clocks must share to be compared, s."""
-BESIDE = 2.0
-"""Of the best delay, s: those beside it are of the same turns."""
-DECISIVE = 5.0
-"""Sigmas by which the best delay must agree better than all others: of the thousands that are
-tried one reaches 4 by chance."""
-NEAR, FINE = 0.15, 0.01
-"""Delays around the best one, s, that are compared by axes."""
 MATCHED = 0.01
 """One sigma of a delay that was found so, s."""
-PIECE = 0.3
-"""Time over which motion is told from gravity, s: a centimetre is then 0.3 m/s^2."""
 LASTS = 60.0
 """Time over which a tilt of the source's world adds up, s: as long as outages usually are."""
-CANDIDATES = 30
-"""Delays that are compared by axes."""
 TURNS = 0.05
 """Rates beyond those of a hover, rad/s, root mean square: turns that must agree."""
 AGREES = 0.25
 """Least share of them that the poses explain where they are of the same flight: a correlation of
 a half."""
-UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
-TO_DOWN = np.diag([1.0, -1.0, -1.0])
-"""From axes forward, left, up to forward, right, down; and back."""
-
 _SAY = "say by --aid-offset how many seconds to add to its times"
 
 Settings = TypeVar("Settings", bound=FilterSettings)
@@ -66,15 +56,15 @@ class PoseFile(NamedTuple):
     """What is added to its times for those of the log, s; None: found."""
 
 
-class Axes(NamedTuple):
-    """How the source's axes lie."""
+def open_with(path: Path, config: Config, aid: PoseFile) -> tuple[Recording, Config]:
+    """Open a log of any kind with the poses of a file, as :func:`with_poses` does.
 
-    C_bp: Array
-    """From its body to the log's, shape (3, 3)."""
-    up_w: Array
-    """In its world, shape (3,)."""
-    misfit: float
-    """Sum of the squares of what is not explained."""
+    Raises:
+        LogError: The log cannot be read, or as :func:`with_poses`.
+    """
+    log = open_log(path)
+    columns = log if isinstance(log, Recording) else read_log(path, config)
+    return with_poses(columns, aid.path, config, aid.offset)
 
 
 def with_poses(
@@ -102,7 +92,9 @@ def with_poses(
     if own.any():
         notes += (f"{own.sum()} poses of the log itself: left out beside {poses.name}",)
         events = events.take(~own)
-    inertial = _Inertial(events, path)
+    inertial = Inertial(events)
+    if len(inertial.t_ns) < 2:
+        raise LogError(f"{path}: the log has no inertial samples to compare its turns with")
     offset_ns, is_found, words = _offset(poses, inertial, offset, log.utc_zero_ns)
     poses = replace(poses, t_ns=poses.t_ns + offset_ns)
     axes = find_axes(poses, inertial)
@@ -119,65 +111,21 @@ def with_poses(
     merged = merge(
         events, rows, arrival_ns=[np.maximum.accumulate(events.t_ns), np.asarray(rows.t_ns)]
     )
-    changes: dict[str, float | bool] = {"use": True}
+    used = replace(settings.visual_odometry, use=True)
     if poses.drift is not None:
-        known = ("walk", "speed_walk", "yaw_walk", "scale_std", "scale_walk")
-        changes |= dict.fromkeys(known, 0.0)
+        used = replace(used, walk=0.0, speed_walk=0.0, yaw_walk=0.0, scale_std=0.0, scale_walk=0.0)
     if is_found:
-        changes["delay_std"] = min(MATCHED, settings.visual_odometry.delay_std)
-    used = replace(settings, visual_odometry=replace(settings.visual_odometry, **changes))
-    return replace(log, events=merged, notes=(*log.notes, *notes)), used
-
-
-class _Inertial:
-    """Means of the log's rates and specific forces over any times."""
-
-    def __init__(self, events: Events, path: Path) -> None:
-        samples = events.take((events.kind == Kind.IMU) & known_rows(events.values[:, :6]))
-        if len(samples) < 2:
-            raise LogError(f"{path}: the log has no inertial samples to compare its turns with")
-        order = np.argsort(samples.t_ns, kind="stable")
-        self.t_ns = samples.t_ns[order]
-        values = samples.values[order, :6]
-        t = (self.t_ns - self.t_ns[0]) * 1e-9
-        steps = np.diff(t)[:, None] * 0.5 * (values[1:] + values[:-1])
-        self._t = t
-        self._sum = np.vstack([np.zeros(6), np.cumsum(steps, axis=0)])
-
-    def seconds(self, t_ns: Stamps) -> Array:
-        """Return times since the first sample, s."""
-        return np.asarray((t_ns - self.t_ns[0]) * 1e-9)
-
-    def means(self, first: Array, last: Array) -> Array:
-        """Return rates and specific forces, shape (n, 6), between times; NaN beyond the samples."""
-        gained = [
-            np.interp(last, self._t, one, np.nan, np.nan)
-            - np.interp(first, self._t, one, np.nan, np.nan)
-            for one in self._sum.T
-        ]
-        return np.stack(gained, axis=1) / (last - first)[:, None]
-
-    @property
-    def length(self) -> float:
-        """Return the time from the first to the last sample, s."""
-        return float(self._t[-1])
+        used = replace(used, delay_std=min(MATCHED, used.delay_std))
+    found = replace(log, events=merged, notes=(*log.notes, *notes))
+    return found, replace(settings, visual_odometry=used)
 
 
 def _span(t_ns: Stamps) -> str:
     return f"{t_ns[0] * 1e-9:.3f} to {t_ns[-1] * 1e-9:.3f} s"
 
 
-def _rates(poses: Poses) -> tuple[Array, Array, Array]:
-    """Return begin and end of each interval, s since the first pose, and its mean rate."""
-    t = (poses.t_ns - poses.t_ns[0]) * 1e-9
-    between = np.diff(t)
-    turned = so3.log(so3.multiply(so3.conjugate(poses.q_wp[:-1]), poses.q_wp[1:]))
-    used = between < 2.5 * np.median(between)
-    return t[:-1][used], t[1:][used], (turned / between[:, None])[used]
-
-
 def _offset(
-    poses: Poses, inertial: _Inertial, given: float | None, utc_zero_ns: int | None
+    poses: Poses, inertial: Inertial, given: float | None, utc_zero_ns: int | None
 ) -> tuple[int, bool, str]:
     """Return what to add to its stamps, ns, whether turns have shown it, and words on that."""
     begin = int(inertial.t_ns[0] - poses.t_ns[0])
@@ -195,8 +143,8 @@ def _offset(
             f"{poses.name}: its clock and the log's share no time ({_span(poses.t_ns)} and "
             f"{_span(inertial.t_ns)}), and the turns do not show how far they are apart; {_SAY}"
         )
-    first, last, rates = _rates(poses)
-    agreement = _agreement(inertial, first, last, rates, (offset_ns - begin) * 1e-9)
+    first, last, rates = rates_of(poses)
+    agreement = agreement_at(inertial, first, last, rates, (offset_ns - begin) * 1e-9)
     if agreement.turns > TURNS and agreement.share < AGREES:
         raise LogError(
             f"{poses.name}: {words}, and then it turns otherwise than the log does: it is of "
@@ -205,171 +153,12 @@ def _offset(
     return offset_ns, False, words
 
 
-class Agreement(NamedTuple):
-    """How well the poses turn as the log does, at one delay."""
-
-    share: float
-    """Of the log's turns that the poses explain, by the best rotation."""
-    turns: float
-    """Root mean square of the log's rates about their mean, rad/s."""
-    seconds: float
-    """Time that was compared."""
-
-
-def _agreement(
-    inertial: _Inertial, first: Array, last: Array, rates: Array, shift: float
-) -> Agreement:
-    """Compare the rates of intervals, shifted by so many seconds."""
-    seen = inertial.means(first + shift, last + shift)[:, :3]
-    known = np.isfinite(seen).all(axis=1)
-    seen, said = seen[known], rates[known]
-    if len(seen) < 4:
-        return Agreement(0.0, 0.0, 0.0)
-    seen, said = seen - seen.mean(axis=0), said - said.mean(axis=0)
-    turns = float(np.mean(seen**2))
-    left = float(np.mean((seen - said @ rotation(seen, said).T) ** 2))
-    seconds = float((last - first)[known].sum())
-    return Agreement(1.0 - left / max(turns, 1e-12), float(np.sqrt(3.0 * turns)), seconds)
-
-
-def find_offset(poses: Poses, inertial: _Inertial) -> float | None:
-    """Return when its first pose was, s since the first inertial sample; None: not decisive.
-
-    The rates' sizes do not depend on the axes: by their correlation at every delay some are chosen,
-    and of these the one at which a rotation explains the rates best. It counts if it does so better
-    than any other by :data:`DECISIVE` sigmas (Fisher's transform of the correlation, with one
-    independent value a second).
-    """
-    first, last, rates = _rates(poses)
-    span = float(np.median(last - first))
-    at = np.arange(0.5 * span, inertial.length - 0.5 * span, GRID)
-    theirs = np.arange(0.5 * (first[0] + last[0]), last[-1], GRID)
-    if min(len(at), len(theirs)) * GRID < LEAST_COMMON:
-        return None
-    ours = np.linalg.norm(inertial.means(at - 0.5 * span, at + 0.5 * span)[:, :3], axis=1)
-    said = np.interp(theirs, 0.5 * (first + last), np.linalg.norm(rates, axis=1))
-    least = max(LEAST_COMMON, 0.5 * GRID * min(len(ours), len(said)))
-    lags, agreement = correlations(ours, said, round(least / GRID))
-    chosen: list[tuple[float, float, float]] = []
-    while len(chosen) < CANDIDATES and np.isfinite(agreement).any():
-        best = float(lags[np.nanargmax(agreement)])
-        agreement[np.abs(lags - best) * GRID <= BESIDE] = np.nan
-        chosen.append(
-            _refined(inertial, first, last, rates, float(at[0] - theirs[0]) + best * GRID)
-        )
-    chosen.sort(reverse=True)
-    if not chosen or chosen[0][0] == 0.0:
-        return None
-    _, seconds, shift = chosen[0]
-    z = [np.arctanh(np.sqrt(min(max(one[0], 0.0), 0.9999))) for one in chosen]
-    other = z[1] if len(z) > 1 else 0.0
-    return shift if z[0] - other > DECISIVE * np.sqrt(2.0 / (seconds - 3.0)) else None
-
-
-def _refined(
-    inertial: _Inertial, first: Array, last: Array, rates: Array, coarse: float
-) -> tuple[float, float, float]:
-    """Return the share that is explained at the best delay near a coarse one, its time, and it."""
-    tried = coarse + np.arange(-NEAR, NEAR + 0.5 * FINE, FINE)
-    found = [_agreement(inertial, first, last, rates, shift) for shift in tried.tolist()]
-    shares = [one.share for one in found]
-    j = int(np.clip(np.argmax(shares), 1, len(tried) - 2))
-    before, middle, after = shares[j - 1 : j + 2]
-    bend = before - 2.0 * middle + after
-    shift = float(tried[j] + (0.5 * FINE * (before - after) / bend if bend < 0.0 else 0.0))
-    if found[j].seconds < LEAST_COMMON:
-        return 0.0, LEAST_COMMON, shift
-    return middle, found[j].seconds, shift
-
-
-def correlations(a: Array, b: Array, least: int) -> tuple[Array, Array]:
-    """Return lags, by which b is shifted on a, and the correlation at each.
-
-    Lags at which fewer than ``least`` values are common are left out.
-    """
-    size = len(a) + len(b)
-    a, b = a - a.mean(), b - b.mean()
-
-    def sums(x: Array, y: Array) -> Array:
-        """Return the sums over i of x[i + lag] y[i], for lags from 1 - len(b) on."""
-        found = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
-        return np.roll(found, len(b) - 1)[: size - 1]
-
-    one_a, one_b = np.ones(len(a)), np.ones(len(b))
-    n = np.rint(sums(one_a, one_b))
-    ma, mb = sums(a, one_b), sums(one_a, b)
-    kept = n >= least
-    n, ma, mb = n[kept], ma[kept], mb[kept]
-    var_a = sums(a * a, one_b)[kept] - ma * ma / n
-    var_b = sums(one_a, b * b)[kept] - mb * mb / n
-    both = sums(a, b)[kept] - ma * mb / n
-    floor = 1e-9 * max(float(a @ a), float(b @ b), 1e-12)
-    size_of_both = np.sqrt(np.maximum(var_a, floor) * np.maximum(var_b, floor))
-    return np.arange(1 - len(b), len(a))[kept], both / size_of_both
-
-
-def rotation(a: Array, b: Array, prior: Array | None = None) -> Array:
-    """Return the rotation C for which C b is nearest to a, row by row, shape (3, 3)."""
-    B = a.T @ b + (0.0 if prior is None else prior)
-    U, _, Vt = np.linalg.svd(B)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
-
-
-def find_axes(poses: Poses, inertial: _Inertial) -> Axes:
-    """Return how its axes lie: by its turns, and by where the specific force points up.
-
-    Where the vehicle hardly turns, its body is taken for forward, left, up or forward, right, down,
-    whichever fits its world.
-    """
-    start = inertial.seconds(poses.t_ns[:1])[0]
-    first, last, rates = _rates(poses)
-    ours = inertial.means(start + first, start + last)[:, :3]
-    known = np.isfinite(ours).all(axis=1)
-    ours, rates = ours[known], rates[known]
-    force, accel, C_wp = _forces(poses, inertial)
-    found = []
-    for C, up in ((TO_DOWN, UP), (np.eye(3), DOWN)):
-        C, bias, up = C, np.zeros(3), up
-        for _ in range(5):
-            if not poses.is_level and len(force):
-                up = (np.einsum("nij,nj->ni", C_wp, force @ C) - accel).sum(axis=0)
-                up = up / np.linalg.norm(up)
-            should = np.einsum("nji,nj->ni", C_wp, accel + STANDARD_GRAVITY * up)
-            a = np.vstack([ours - bias, force / STANDARD_GRAVITY])
-            b = np.vstack([rates, should / STANDARD_GRAVITY])
-            C = rotation(a, b, 1e-3 * len(b) * (TO_DOWN if up[2] > 0.0 else np.eye(3)))
-            bias = (ours - rates @ C.T).mean(axis=0) if len(ours) else bias
-        found.append(Axes(C, up, float(((a - b @ C.T) ** 2).sum())))
-    level, other = found
-    return other if other.misfit < 0.5 * level.misfit else level
-
-
-def _forces(poses: Poses, inertial: _Inertial) -> tuple[Array, Array, Array]:
-    """Return the log's specific force, the acceleration and attitude by the poses, for pieces."""
-    t = inertial.seconds(poses.t_ns)
-    index, chosen = 0, [0]
-    for index in range(1, len(t)):
-        if t[index] - t[chosen[-1]] >= PIECE:
-            chosen.append(index)
-    k = np.array(chosen)
-    if len(k) < 3:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    span = np.diff(t[k])
-    vel = np.diff(poses.pos_w[k], axis=0) / span[:, None]
-    middle = t[k][:-1] + 0.5 * span
-    accel = np.diff(vel, axis=0) / np.diff(middle)[:, None]
-    force = inertial.means(middle[:-1], middle[1:])[:, 3:]
-    good = np.isfinite(force).all(axis=1)
-    good &= np.diff(middle) < 4.0 * np.median(span)
-    return force[good], accel[good], so3.to_matrix(poses.q_wp[k[1:-1]])[good]
-
-
 def to_events(poses: Poses, axes: Axes, level: float) -> Events:
     """Return poses as rows of the filter: down is down, yaw is of the log's forward axis.
 
     ``level`` is one sigma of the direction up where it is that of the log's samples, rad.
     """
-    to_n = TO_DOWN @ _upright(axes.up_w)
+    to_n = TO_DOWN @ levelled(-axes.up_w)
     C_nb = to_n @ so3.to_matrix(poses.q_wp) @ axes.C_bp.T
     yaw = np.arctan2(C_nb[:, 1, 0], C_nb[:, 0, 0])
     place = poses.pos_w @ to_n.T
@@ -397,17 +186,6 @@ def _in_n(
     way[:, 2, 2] += tilt * tilt * speed * speed * LASTS * seconds
     values, vectors = np.linalg.eigh(way)
     root = np.sqrt(np.maximum(values, 0.0))[:, None, :] * vectors
-    factor = np.linalg.qr(root.transpose(0, 2, 1), mode="r").transpose(0, 2, 1)
+    upper = np.asarray(np.linalg.qr(root.transpose(0, 2, 1), mode="r"))
     turn = np.einsum("i,nij,j->n", to_n[2], drift.turn, to_n[2])
-    return factor, np.sqrt(np.maximum(turn, 0.0) * seconds)
-
-
-def _upright(up: Array) -> Array:
-    """Return the rotation that turns a direction up: the smallest, or half a turn about x."""
-    if up[2] < -0.999:
-        return np.diag([1.0, -1.0, -1.0])
-    axis = so3.cross(up, UP)
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return np.eye(3)
-    return so3.to_matrix(so3.exp(axis * (np.arctan2(sine, up[2]) / sine)))
+    return upper.transpose(0, 2, 1), np.sqrt(np.maximum(turn, 0.0) * seconds)

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ekf_companion.logs.tlog import Autopilot, Tlog
     from ekf_companion.mavlink.frame import Frames
     from ekf_companion.mavlink.outbox import Message
-    from ekf_companion.replay.pose_aid import PoseFile
     from ekf_companion.replay.vehicles import Vehicles
 
 Progress = Callable[[int, int], None]
@@ -48,7 +47,7 @@ class Run(Generic[P]):
         config: Config,
         kind: Callable[..., P],
         mode: Mode = Mode.BLOCKS,
-        aid: PoseFile | None = None,
+        log: Recording | None = None,
     ) -> None:
         """Open a log.
 
@@ -57,20 +56,12 @@ class Run(Generic[P]):
             config: The estimator's configuration, and the link's: which autopilot is listened to.
             kind: The class of the pipelines.
             mode: When they process what they are given; :meth:`messages` wants ``ROWS``.
-            aid: Poses of another estimator, which are merged into the log.
+            log: What is in it, if it was opened already.
 
         Raises:
-            LogError: The log or the poses cannot be read, or are of an unknown kind, or share no
-                time.
+            LogError: The log cannot be read, or is of an unknown kind.
         """
-        self.log = open_log(path)
-        if aid is not None:
-            from ekf_companion.replay.pose_aid import with_poses
-
-            columns = _as_columns(path, self.log, config)
-            self.log, config = with_poses(columns, aid.path, config, aid.offset)
-        self.config = config
-        """The configuration that is used: what an aid states of itself is in it."""
+        self.log = open_log(path) if log is None else log
         self.pipelines: list[P] = []
         """Of the autopilots so far, in their order."""
         self.notes = list(self.log.notes)
@@ -83,7 +74,7 @@ class Run(Generic[P]):
         """Whose inertial samples a .tlog holds that were not asked for, in words."""
         self.screen = Screen()
         """Counts what of columns is no measurement."""
-        self._kind, self._mode = kind, mode
+        self._config, self._kind, self._mode = config, kind, mode
         self._worker: Worker | None = None  # of the last of the pipelines
         self._blocks: list[Block] = []  # of all pipelines, not yet yielded
         self._done = 0  # frames or measurements so far
@@ -114,7 +105,7 @@ class Run(Generic[P]):
         """
         from ekf_companion.mavlink.codec import Sender
 
-        ours = Sender(1, self.config.link.component_id)
+        ours = Sender(1, self._config.link.component_id)
         steps = self._rows(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
         for stamp_us, frame, messages in steps:
             if frame and not _is_from(frame, ours.component_id):
@@ -179,12 +170,12 @@ class Run(Generic[P]):
     def _open_companion(self) -> Companion:
         from ekf_companion.engine.companion import Companion
 
-        return Companion(self.config, open_pipeline=self._open_pipeline)
+        return Companion(self._config, open_pipeline=self._open_pipeline)
 
     def _look_who_speaks(self, companion: Companion, log: Tlog) -> None:
         from ekf_companion.replay.vehicles import Vehicles
 
-        self._vehicles = Vehicles(log, self.config.link.autopilot, self.notes)
+        self._vehicles = Vehicles(log, self._config.link.autopilot, self.notes)
         self._vehicles.attend(companion)
 
     def _follow(self, companion: Companion) -> None:
@@ -204,7 +195,7 @@ class Run(Generic[P]):
 
     def _chunks(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline run over the columns, a block at a time."""
-        _, worker = self._open_pipeline(self.config, log.family)
+        _, worker = self._open_pipeline(self._config, log.family)
         for events in self._screened(log):
             worker.run_block(events)
             yield 0, b"", []
@@ -220,8 +211,8 @@ class Run(Generic[P]):
         from ekf_companion.engine.publisher import Publisher
         from ekf_companion.mavlink.decode import Family
 
-        _, worker = self._open_pipeline(self.config, log.family)
-        publisher = Publisher(self.config, Family(log.family))
+        _, worker = self._open_pipeline(self._config, log.family)
+        publisher = Publisher(self._config, Family(log.family))
         for events in self._screened(log):
             before = self._done - len(events)
             t_ns, kind, values = events.t_ns, events.kind, events.values
@@ -255,13 +246,6 @@ class Run(Generic[P]):
         if progress is not None:
             progress(self._done, self.size)
         return blocks
-
-
-def _as_columns(path: Path, log: Tlog | Recording, config: Config) -> Recording:
-    """Return a log's measurements, those of a .tlog decoded."""
-    from ekf_companion.replay.read import read
-
-    return log if isinstance(log, Recording) else read(path, config)
 
 
 def _is_from(frame: bytes, component_id: int) -> bool:

@@ -13,6 +13,7 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.log_source import reference, truth
+from ekf_companion.replay.pose_aid import PoseFile, open_with
 from ekf_companion.replay.run import Progress, Run
 from ekf_companion.replay.worker import Block, Mode
 from ekf_companion.review import left_out, stamps
@@ -21,7 +22,6 @@ from ekf_companion.review.receivers import ReceiverCheck
 from ekf_companion.review.report import Report, add_block, note_shortcomings
 
 if TYPE_CHECKING:
-    from ekf_companion.replay.pose_aid import PoseFile
     from ekf_companion.review.agreement import AgreementCheck
 
 P = TypeVar("P", bound=Pipeline)
@@ -38,10 +38,18 @@ class Review(Generic[P]):
         mode: Mode = Mode.BLOCKS,
         aid: PoseFile | None = None,
     ) -> None:
-        """Open a log; arguments and errors as for :class:`ekf_companion.replay.run.Run`."""
-        self.run = Run(path, config, kind, mode, aid)
-        config = self.run.config
-        self._path, self._config = path, config
+        """Open a log.
+
+        Arguments and errors are as for :class:`ekf_companion.replay.run.Run`, and of ``aid``, poses
+        of another estimator, as for :func:`ekf_companion.replay.pose_aid.open_with`.
+        """
+        opened = None
+        if aid is not None:
+            opened, config = open_with(path, config, aid)
+        self.run = Run(path, config, kind, mode, opened)
+        self.config = config
+        """The configuration that is used: what the poses state of themselves is in it."""
+        self._path = path
         log = self.run.log
         self._report = Report(log=str(path), damage=log.damage)
         if isinstance(log, Recording) and any(log.extent_ns):
@@ -96,7 +104,7 @@ class Review(Generic[P]):
         report.elsewhere = run.elsewhere
         if run.pipelines:
             report.health = health = run.pipelines[-1].health()
-            late = delays_ns(self._config, run.family, run.gnss_delay)
+            late = delays_ns(self.config, run.family, run.gnss_delay)
             resets = sum(one.resets - one.reboots for one in run.pipelines)
             report.other_resets = resets - (health.resets - report.reboots)
             report.last_reset = next(
