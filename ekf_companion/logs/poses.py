@@ -96,7 +96,7 @@ def _unknown(path: Path) -> LogError:
 
 
 def _numbers(path: Path, text: str, delimiter: str | None) -> Array:
-    """Return rows of numbers; an empty cell is NaN."""
+    """Return rows of numbers, by the first of each; an empty cell is NaN."""
     if not text.strip():
         raise _unknown(path)
     try:
@@ -105,7 +105,7 @@ def _numbers(path: Path, text: str, delimiter: str | None) -> Array:
         raise LogError(f"{path}: rows of different lengths ({error}); mend it") from None
     if not rows.size or not np.isfinite(rows[:, 0]).any():
         raise _unknown(path)
-    return rows
+    return rows[np.argsort(rows[:, 0], kind="stable")]
 
 
 def _stamps(seconds: Array) -> Stamps:

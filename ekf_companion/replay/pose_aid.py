@@ -24,13 +24,13 @@ from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.pose_match import (
+    DECISIVE,
+    LEAST_COMMON,
     TO_DOWN,
     Axes,
     Inertial,
-    agreement_at,
     find_axes,
     find_offset,
-    rates_of,
 )
 from ekf_companion.replay.read import read as read_log
 
@@ -97,15 +97,27 @@ def with_poses(
         raise LogError(f"{path}: the log has no inertial samples to compare its turns with")
     offset_ns, is_found, words = _offset(poses, inertial, offset, log.utc_zero_ns)
     poses = replace(poses, t_ns=poses.t_ns + offset_ns)
-    axes = find_axes(poses, inertial)
-    rows = to_events(poses, axes, settings.imu.accel_bias / STANDARD_GRAVITY)
     begin, end = inertial.t_ns[0], inertial.t_ns[-1]
-    rows = rows.take((rows.t_ns >= begin) & (rows.t_ns <= end))
-    if len(rows) < 2:
+    within = (poses.t_ns >= begin) & (poses.t_ns <= end)
+    if within.sum() < 2:
         raise LogError(
             f"{path}: its poses and the log share no time: {_span(poses.t_ns)} and "
             f"{_span(inertial.t_ns)} on the log's clock; {_SAY}"
         )
+    axes = find_axes(poses, inertial)
+    if axes.turns > TURNS and axes.share < AGREES:
+        raise LogError(
+            f"{path}: where {words}, it turns otherwise than the log does, and no other delay fits "
+            f"decisively: it is of another flight or time, or shares less than {LEAST_COMMON:g} s "
+            f"with it; {_SAY}"
+        )
+    if axes.motion < -DECISIVE:
+        raise LogError(
+            f"{path}: its places move against its attitudes and the log's accelerations: an axis "
+            "is mirrored; write it with right-handed axes"
+        )
+    rows = to_events(poses, axes, settings.imu.accel_bias / STANDARD_GRAVITY)
+    rows = rows.take(within)
     share = f"{len(rows)} of its {len(poses.t_ns)} poses lie within the log"
     notes += (f"{poses.name}: {words}; {share}",)
     merged = merge(
@@ -142,13 +154,6 @@ def _offset(
         raise LogError(
             f"{poses.name}: its clock and the log's share no time ({_span(poses.t_ns)} and "
             f"{_span(inertial.t_ns)}), and the turns do not show how far they are apart; {_SAY}"
-        )
-    first, last, rates = rates_of(poses)
-    agreement = agreement_at(inertial, first, last, rates, (offset_ns - begin) * 1e-9)
-    if agreement.turns > TURNS and agreement.share < AGREES:
-        raise LogError(
-            f"{poses.name}: {words}, and then it turns otherwise than the log does: it is of "
-            f"another flight or of another time; {_SAY}"
         )
     return offset_ns, False, words
 

@@ -20,6 +20,8 @@ from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind
 
+GAP = 5.0
+"""Times the usual interval of the samples beyond which some are missing."""
 GRID = 0.05
 """Step in which clocks are compared at first, s: a turn lasts for a multiple of it."""
 LEAST_COMMON = 10.0
@@ -49,6 +51,13 @@ class Axes(NamedTuple):
     """In its world, shape (3,)."""
     misfit: float
     """Sum of the squares of what is not explained."""
+    share: float
+    """Of the log's turns that are explained by these axes."""
+    turns: float
+    """Root mean square of the log's rates about their mean, rad/s."""
+    motion: float
+    """Correlation of the acceleration by its places with that of the log, in sigmas: places that
+    are mirrored accelerate the other way."""
 
 
 class Inertial:
@@ -62,21 +71,32 @@ class Inertial:
         values = samples.values[order, :6]
         t = (self.t_ns - self.t_ns[:1]) * 1e-9
         steps = np.diff(t)[:, None] * 0.5 * (values[1:] + values[:-1])
+        gaps = np.diff(t) * (np.diff(t) > GAP * np.median(np.diff(t))) if len(t) > 1 else []
         self._t = t
-        self._sum = np.vstack([np.zeros(6), np.cumsum(steps, axis=0)])
+        self._sum = np.vstack([np.zeros(7), np.cumsum(np.column_stack([steps, gaps]), axis=0)])
 
     def seconds(self, t_ns: Stamps) -> Array:
         """Return times since the first sample, s."""
         return np.asarray((t_ns - self.t_ns[0]) * 1e-9)
 
     def means(self, first: Array, last: Array) -> Array:
-        """Return rates and specific forces, shape (n, 6), between times; NaN beyond the samples."""
+        """Return rates and specific forces, shape (n, 6), between times.
+
+        NaN beyond the samples, and where some are missing.
+        """
         gained = [
             np.interp(last, self._t, one, np.nan, np.nan)
             - np.interp(first, self._t, one, np.nan, np.nan)
             for one in self._sum.T
         ]
-        return np.stack(gained, axis=1) / (last - first)[:, None]
+        means = np.stack(gained[:6], axis=1) / (last - first)[:, None]
+        return np.where((gained[6] > 0.0)[:, None], np.nan, means)
+
+    @property
+    def fastest(self) -> float:
+        """Return the largest rate, about all axes together, rad/s."""
+        rates = np.diff(self._sum[:, :3], axis=0) / np.maximum(np.diff(self._t), 1e-6)[:, None]
+        return float(np.linalg.norm(rates, axis=1).max(initial=0.0))
 
     @property
     def length(self) -> float:
@@ -84,40 +104,36 @@ class Inertial:
         return float(self._t[-1])
 
 
-def rates_of(poses: Poses) -> tuple[Array, Array, Array]:
-    """Return begin and end of each interval, s since the first pose, and its mean rate."""
+def rates_of(poses: Poses, inertial: Inertial) -> tuple[Array, Array, Array]:
+    """Return begin and end of each interval, s since the first pose, and its mean rate.
+
+    What is faster than the vehicle ever turned is no turn of it: a leap, or a stamp that is wrong.
+    """
     t = (poses.t_ns - poses.t_ns[0]) * 1e-9
     between = np.diff(t)
     turned = so3.log(so3.multiply(so3.conjugate(poses.q_wp[:-1]), poses.q_wp[1:]))
+    rates = turned / between[:, None]
     used = between < 2.5 * np.median(between)
-    return t[:-1][used], t[1:][used], (turned / between[:, None])[used]
+    used &= np.linalg.norm(rates, axis=1) < 1.5 * inertial.fastest
+    return t[:-1][used], t[1:][used], rates[used]
 
 
-class Agreement(NamedTuple):
-    """How well the poses turn as the log does, at one delay."""
-
-    share: float
-    """Of the log's turns that the poses explain, by the best rotation."""
-    turns: float
-    """Root mean square of the log's rates about their mean, rad/s."""
-    seconds: float
-    """Time that was compared."""
-
-
-def agreement_at(
+def _agreement(
     inertial: Inertial, first: Array, last: Array, rates: Array, shift: float
-) -> Agreement:
-    """Compare the rates of intervals, shifted by so many seconds."""
+) -> tuple[float, float]:
+    """Return the share of the log's turns that the poses explain, by the best rotation.
+
+    They are shifted by so many seconds. Second: the time that was compared, s.
+    """
     seen = inertial.means(first + shift, last + shift)[:, :3]
     known = np.isfinite(seen).all(axis=1)
     seen, said = seen[known], rates[known]
     if len(seen) < 4:
-        return Agreement(0.0, 0.0, 0.0)
+        return 0.0, 0.0
     seen, said = seen - seen.mean(axis=0), said - said.mean(axis=0)
     turns = float(np.mean(seen**2))
     left = float(np.mean((seen - said @ rotation(seen, said).T) ** 2))
-    seconds = float((last - first)[known].sum())
-    return Agreement(1.0 - left / max(turns, 1e-12), float(np.sqrt(3.0 * turns)), seconds)
+    return 1.0 - left / max(turns, 1e-12), float((last - first)[known].sum())
 
 
 def find_offset(poses: Poses, inertial: Inertial) -> float | None:
@@ -128,7 +144,9 @@ def find_offset(poses: Poses, inertial: Inertial) -> float | None:
     than any other by :data:`DECISIVE` sigmas (Fisher's transform of the correlation, with one
     independent value a second).
     """
-    first, last, rates = rates_of(poses)
+    first, last, rates = rates_of(poses, inertial)
+    if not len(rates):
+        return None
     span = float(np.median(last - first))
     at = np.arange(0.5 * span, inertial.length - 0.5 * span, GRID)
     theirs = np.arange(0.5 * (first[0] + last[0]), last[-1], GRID)
@@ -137,6 +155,7 @@ def find_offset(poses: Poses, inertial: Inertial) -> float | None:
     ours = np.linalg.norm(inertial.means(at - 0.5 * span, at + 0.5 * span)[:, :3], axis=1)
     said = np.interp(theirs, 0.5 * (first + last), np.linalg.norm(rates, axis=1))
     least = max(LEAST_COMMON, 0.5 * GRID * min(len(ours), len(said)))
+    ours = np.where(np.isfinite(ours), ours, np.nanmean(ours))
     lags, agreement = correlations(ours, said, round(least / GRID))
     chosen: list[tuple[float, float, float]] = []
     while len(chosen) < CANDIDATES and np.isfinite(agreement).any():
@@ -159,15 +178,14 @@ def _refined(
 ) -> tuple[float, float, float]:
     """Return the share that is explained at the best delay near a coarse one, its time, and it."""
     tried = coarse + np.arange(-NEAR, NEAR + 0.5 * FINE, FINE)
-    found = [agreement_at(inertial, first, last, rates, shift) for shift in tried.tolist()]
-    shares = [one.share for one in found]
+    found = [_agreement(inertial, first, last, rates, shift) for shift in tried.tolist()]
+    shares = [share for share, _ in found]
     j = int(np.clip(np.argmax(shares), 1, len(tried) - 2))
     before, middle, after = shares[j - 1 : j + 2]
     bend = before - 2.0 * middle + after
     shift = float(tried[j] + (0.5 * FINE * (before - after) / bend if bend < 0.0 else 0.0))
-    if found[j].seconds < LEAST_COMMON:
-        return 0.0, LEAST_COMMON, shift
-    return middle, found[j].seconds, shift
+    seconds = found[j][1]
+    return (middle, seconds, shift) if seconds >= LEAST_COMMON else (0.0, LEAST_COMMON, shift)
 
 
 def correlations(a: Array, b: Array, least: int) -> tuple[Indices, Array]:
@@ -210,7 +228,7 @@ def find_axes(poses: Poses, inertial: Inertial) -> Axes:
     whichever fits its world.
     """
     start = inertial.seconds(poses.t_ns[:1])[0]
-    first, last, rates = rates_of(poses)
+    first, last, rates = rates_of(poses, inertial)
     ours = inertial.means(start + first, start + last)[:, :3]
     known = np.isfinite(ours).all(axis=1)
     ours, rates = ours[known], rates[known]
@@ -227,9 +245,35 @@ def find_axes(poses: Poses, inertial: Inertial) -> Axes:
             b = np.vstack([rates, should / STANDARD_GRAVITY])
             C = rotation(a, b, 1e-3 * len(b) * (TO_DOWN if up[2] > 0.0 else np.eye(3)))
             bias = (ours - rates @ C.T).mean(axis=0) if len(ours) else bias
-        found.append(Axes(C, up, float(((a - b @ C.T) ** 2).sum())))
+        turned, left = (_square_about(one) for one in (ours, ours - rates @ C.T))
+        felt = np.einsum("nij,nj->ni", C_wp, force @ C) - STANDARD_GRAVITY * up
+        found.append(
+            Axes(
+                C_bp=C,
+                up_w=up,
+                misfit=float(((a - b @ C.T) ** 2).sum()),
+                share=1.0 - left / max(turned, 1e-12),
+                turns=float(np.sqrt(turned / max(len(ours), 1))),
+                motion=_correlated(felt, accel),
+            )
+        )
     level, other = found
     return other if other.misfit < 0.5 * level.misfit else level
+
+
+def _square_about(rows: Array) -> float:
+    """Return the sum of the squares about the mean."""
+    return float(((rows - rows.mean(axis=0)) ** 2).sum()) if len(rows) else 0.0
+
+
+def _correlated(a: Array, b: Array) -> float:
+    """Return the correlation of vectors about their means, in sigmas of none."""
+    if len(a) < 4:
+        return 0.0
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    share = float((a * b).sum()) / max(size, 1e-12)
+    return float(np.arctanh(np.clip(share, -0.9999, 0.9999)) * np.sqrt(len(a) - 3.0))
 
 
 def _forces(poses: Poses, inertial: Inertial) -> tuple[Array, Array, Array]:
