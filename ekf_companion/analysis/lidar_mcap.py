@@ -19,6 +19,7 @@ import orjson
 from ekf_companion.errors import part_of
 from ekf_companion.lidar.solution import Solution, lines_of
 from ekf_companion.logs import foxglove_schema as schema
+from ekf_companion.nav.relative_pose import SINCE
 
 FRAME, BODY = "map", "base_link"
 
@@ -33,7 +34,7 @@ def write(solution: Solution, file: BinaryIO) -> None:
         from mcap.writer import Writer
     writer = Writer(file)
     writer.start(profile="", library="ekf-companion")
-    head = next(lines_of(solution, ".csv")).split(",")
+    head = next(_rows(solution))
     numbers = {name: schema.NUMBER for name in head if name != "t_s"}
     schemas = {
         "/pose": schema.POSE,
@@ -56,9 +57,18 @@ def write(solution: Solution, file: BinaryIO) -> None:
     writer.finish()
 
 
+def _rows(solution: Solution) -> Iterator[list[str]]:
+    """Yield the cells of the .csv that are of each pose: relative ones end at some only."""
+    lines = (line.split(",") for line in lines_of(solution, ".csv"))
+    head = next(lines)
+    kept = head.index(SINCE)
+    yield head[:kept]
+    yield from (row[:kept] for row in lines)
+
+
 def _messages(solution: Solution) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Yield topic, time, s, and content of each message but its time."""
-    head, *rows = (line.split(",") for line in lines_of(solution, ".csv"))
+    head, *rows = _rows(solution)
     for row in rows:
         numbers = dict(zip(head, map(float, row), strict=True))
         stamp = numbers.pop("t_s")

@@ -9,12 +9,13 @@ its guess; in the end that is taken out and the one that was asked for is put in
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ekf_companion.lidar.odometry import Odometry
-from ekf_companion.lidar.recording import Mounting, Recording
+from ekf_companion.lidar.recording import Mounting, Recording, Scan
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import exp, log
 from ekf_companion.nav.arrays import Array
@@ -25,6 +26,8 @@ HELD = 3.0
 """Beginning of a pass in which neither is looked for, s."""
 PASSES = 8
 """Of each kind, at most."""
+MOST_KEPT = 2_000_000
+"""Points that are kept from one pass to the next, of 40 bytes: as much as the map may take."""
 TURNING = 0.2
 """Rate of a turn that shows mounting and delay, rad/s: ten times what noise and bias are."""
 LOST = 4.0
@@ -69,17 +72,45 @@ class Calibration:
         return np.hstack([turn, self.position - other.position, self.delay - other.delay])
 
 
+class _Part:
+    """The part of a recording that each pass takes: read once, if it has not too many points."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.inertial, self._scans = recording.inertial, recording.scans
+        self._kept: tuple[float, list[Scan]] | None = None
+
+    def since(self, begin: float) -> Iterator[Scan]:
+        """Yield the scans of :data:`BEGINNING`."""
+        if self._kept is not None and self._kept[0] == begin:
+            yield from self._kept[1]
+            return
+        kept: list[Scan] = []
+        self._kept, points = None, 0
+        for scan in self._scans:
+            if scan.stamp > begin + BEGINNING:
+                break
+            if scan.stamp < begin:
+                continue
+            points += len(scan.points)
+            if points <= MOST_KEPT:
+                kept.append(scan)
+            yield scan
+        if points <= MOST_KEPT:
+            self._kept = begin, kept
+
+
 def calibrate(recording: Recording, settings: Settings) -> Calibration:
     """Return mounting and delay, and how well they are known: as asked where nothing shows them."""
     asked = _asked(recording.mounting, settings)
     begin = _first_turn(recording)
     if not asked.P.any() or begin is None:
         return asked
-    guess, begin = _coarse(recording, settings, asked, begin)
+    part = _Part(recording)
+    guess, begin = _coarse(part, settings, asked, begin)
     if guess is asked:
         return asked
     for _ in range(PASSES):
-        made = _fine(recording, settings, guess, asked, begin)
+        made = _fine(part, settings, guess, asked, begin)
         moved, guess = made.minus(guess), made
         if (np.abs(moved) <= np.sqrt(np.diag(made.P))).all():
             break
@@ -105,7 +136,7 @@ def _first_turn(recording: Recording) -> float | None:
 
 
 def _coarse(
-    recording: Recording, settings: Settings, asked: Calibration, begin: float
+    part: _Part, settings: Settings, asked: Calibration, begin: float
 ) -> tuple[Calibration, float]:
     """Return a better rotation and delay, or what was asked for, and from when on they show.
 
@@ -116,7 +147,7 @@ def _coarse(
     free[LEVER] = 0.0
     for _ in range(PASSES):
         known = Calibration(guess.rotation, guess.position, guess.delay, np.zeros((7, 7)))
-        made = _passed(recording, settings, known, begin, free)
+        made = _passed(part, settings, known, begin, free)
         if made is None:
             return asked, begin
         if (np.abs(made.minus(asked)) > LOST * np.sqrt(np.diag(asked.P)) + 1e-12).any():
@@ -131,13 +162,13 @@ def _coarse(
 
 
 def _fine(
-    recording: Recording, settings: Settings, guess: Calibration, asked: Calibration, begin: float
+    part: _Part, settings: Settings, guess: Calibration, asked: Calibration, begin: float
 ) -> Calibration:
     """Return the most likely calibration by a map that has the error of the guess."""
     most = np.repeat([FINE_TURN, np.inf, FINE_DELAY], [3, 3, 1])
     prior = np.minimum(np.sqrt(np.diag(asked.P)), most)
     unsure = Calibration(guess.rotation, guess.position, guess.delay, np.diag(prior**2))
-    made = _passed(recording, settings, unsure, begin)
+    made = _passed(part, settings, unsure, begin)
     if made is None:
         return guess
     # What the scans show by themselves, in units of this prior
@@ -155,7 +186,7 @@ def _fine(
 
 
 def _passed(
-    recording: Recording,
+    part: _Part,
     settings: Settings,
     guess: Calibration,
     begin: float,
@@ -163,14 +194,10 @@ def _passed(
 ) -> Calibration | None:
     """Return what a pass finds, from a covariance ``free`` after its beginning; None: nothing."""
     odometry = Odometry(
-        recording.inertial, guess.mounting, settings, delay=guess.delay, calibration=guess.P
+        part.inertial, guess.mounting, settings, delay=guess.delay, calibration=guess.P
     )
     until: float | None = None
-    for scan in recording.scans:
-        if scan.stamp > begin + BEGINNING:
-            break
-        if scan.stamp < begin:
-            continue
+    for scan in part.since(begin):
         until = scan.stamp + HELD if until is None else until
         if scan.stamp > until:
             odometry.release(free)

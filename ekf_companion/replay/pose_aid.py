@@ -127,7 +127,7 @@ def with_poses(
     if poses.drift is not None:
         used = replace(used, walk=0.0, speed_walk=0.0, yaw_walk=0.0, scale_std=0.0, scale_walk=0.0)
     if is_found:
-        used = replace(used, delay_std=min(MATCHED, used.delay_std))
+        used = replace(used, delay=0.0, delay_std=min(MATCHED, used.delay_std))
     found = replace(log, events=merged, notes=(*log.notes, *notes))
     return found, replace(settings, visual_odometry=used)
 

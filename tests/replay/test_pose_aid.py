@@ -199,9 +199,11 @@ def test_what_it_states_of_its_drift_replaces_the_walks(tmp_path):
 
 def test_the_settings_stay_where_it_states_nothing(tmp_path):
     flown = Flown(seed=9)
-    own = VisualOdometrySettings(scale_std=0.07, delay_std=0.004)
+    own = VisualOdometrySettings(scale_std=0.07, delay=0.1, delay_std=0.004)
     path = flown.write(tmp_path / "poses.tum")
     _, settings = with_poses(flown.log, path, FilterSettings(visual_odometry=own))
+    assert settings.visual_odometry == replace(own, use=True, delay=0.0)  # it is in what was found
+    _, settings = with_poses(flown.log, path, FilterSettings(visual_odometry=own), 0.0)
     assert settings.visual_odometry == replace(own, use=True)
 
 
