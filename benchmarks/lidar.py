@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import lidar_memory, lidar_peers
+from benchmarks import lidar_aid, lidar_memory, lidar_peers
 from benchmarks.document import table
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Recording
@@ -202,6 +202,8 @@ def main() -> None:
     ours = (row(case, score) for case in cases() if wanted in case.name)
     for one in table(HEAD, chain(ours, peers(score, wanted))):
         print(one, flush=True)
+    if wanted in ("", "aid"):
+        lidar_aid.main()
     if wanted in ("", "memory"):
         lidar_memory.main()
 

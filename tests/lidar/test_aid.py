@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.lidar_aid import BOOT, CONFIG, LATE, Flight
 from ekf_companion.cli import app
-from ekf_companion.config.config import Config
-from ekf_companion.core.settings.settings import BaroSettings, GnssSettings
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import lines_of, solve
@@ -19,10 +18,8 @@ from ekf_companion.replay.pose_aid import PoseFile
 from ekf_companion.review.convert import estimate
 from sim_autopilot.lidar.record import simulate
 from sim_autopilot.lidar.write import write_sequence
-from tests.lidar.flights import BOOT, LATE, Flight
 from tests.paths import DATA
 
-CONFIG = Config(gnss=GnssSettings(delay=LATE), baro=BaroSettings(use=False))
 CUT = (10.0, 25.0)
 
 
@@ -31,7 +28,7 @@ def walk(tmp_path_factory):
     """A walk in a simulated room: a log whose fixes end, and what the lidar makes of it."""
     folder = tmp_path_factory.mktemp("aid")
     write_sequence(folder / "room", simulate("room", 11, duration=26.0))
-    flight = Flight.of_sequence(folder / "room")
+    flight = Flight.of(folder / "room")
     flight.write(folder / "log.csv", 1, CUT)
     solution = solve(read(folder / "room"), Settings())
     for kind in (".csv", ".tum", "rel"):
@@ -134,7 +131,7 @@ def solved(name):
 
 def sequence(name, tmp_path, seed, cut):
     """Return a sequence, its log and the lidar's poses."""
-    flight = Flight.of_sequence(DATA / "lidar" / name)
+    flight = Flight.of(DATA / "lidar" / name)
     flight.write(tmp_path / "log.csv", seed, cut)
     (tmp_path / "pose.csv").write_text("\n".join(lines_of(solved(name), ".csv")) + "\n")
     return flight, tmp_path / "log.csv", PoseFile(tmp_path / "pose.csv")
@@ -146,7 +143,7 @@ def sequence(name, tmp_path, seed, cut):
 def test_half_a_minute_without_fixes(name, seeds, tmp_path):
     found = []
     for seed in range(1, 1 + seeds):
-        end = Flight.of_sequence(DATA / "lidar" / name).end
+        end = Flight.of(DATA / "lidar" / name).end
         cut = (end - 31.0, end - 1.0)
         flight, log, aid = sequence(name, tmp_path, seed, cut)
         since, sigmas = away(flight, log, aid, cut)
@@ -170,7 +167,7 @@ def test_a_tunnel_widens_along_it_only(tmp_path):
 @pytest.mark.campaign
 def test_over_a_plain_it_is_no_worse_than_fixes_alone(tmp_path):
     for seed in (1, 2, 3):
-        flight, log, aid = sequence("plain_flight", tmp_path, seed, (0.0, 0.0))
+        flight, log, aid = sequence("plain_flight", tmp_path, seed, None)
         errors = []
         for given in (aid, None):
             table, _ = estimate(log, CONFIG, None, given)
