@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 
 from ekf_companion import with_poses
+from ekf_companion.config.config import Config
+from ekf_companion.core.memory.enums import Aid, Verdict
 from ekf_companion.core.settings.settings import FilterSettings, VisualOdometrySettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.relative_pose import UPPER
+from ekf_companion.replay.pose_aid import PoseFile
+from ekf_companion.review.convert import convert, estimate
 from tests import euroc
 from tests.euroc import BODY
+from tests.paths import DATA
 
 RATE, SECONDS = 100.0, 60.0
 GRAVITY = np.array([0.0, 0.0, 9.80665])
@@ -233,3 +238,27 @@ def test_a_real_visual_odometry_is_aligned_and_holds_a_minute_without_fixes():
     inside = (flown.t >= cut[0]) & (flown.t < cut[1])
     away = flown.error[inside] - flown.error[inside][0]
     assert euroc.rms(away) < 0.3
+
+
+LOGS = [
+    "px4-ulg-x500-mission/x500_mission_2023.ulg",
+    "ardupilot-bin-copter-netherlands/spark404_log.bin",
+    "tlog-transcoded-x500-mission/x500_mission_highres.tlog",
+]
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_real_logs_of_each_kind_take_poses_of_another_clock(tmp_path, name):
+    path = DATA / name
+    if not path.exists():
+        pytest.skip("needs ../shared")
+    convert(path, tmp_path / "own.tum", Config(), rate=10.0)
+    rows = np.loadtxt(tmp_path / "own.tum")
+    rows[:, 0] += 5000.0
+    np.savetxt(tmp_path / "poses.tum", rows, fmt="%.9f")
+    table, report = estimate(path, Config(), None, PoseFile(tmp_path / "poses.tum"))
+    note = next(note for note in report.notes if note.startswith("poses.tum: "))
+    assert float(note.split()[1]) == pytest.approx(-5000.0, abs=0.02)
+    fused = report.health.verdicts[Aid.VISUAL_ODOMETRY][Verdict.FUSED]
+    assert fused > len(rows)  # position, then yaw
+    assert len(table) > 1000
