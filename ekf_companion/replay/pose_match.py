@@ -37,6 +37,10 @@ CANDIDATES = 10
 """Delays that are compared by axes."""
 PIECE = 0.3
 """Time over which motion is told from gravity, s: a centimetre is then 0.3 m/s^2."""
+ROUNDS = 5
+"""In which axes, bias of the gyro and the direction up are found by each other."""
+USUAL = 1e-3
+"""Weight of the usual axes, of a rad/s or a g: they decide where nothing else does."""
 UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
 TO_DOWN = np.diag([1.0, -1.0, -1.0])
 """From axes forward, left, up to forward, right, down; and back."""
@@ -227,38 +231,39 @@ def find_axes(poses: Poses, inertial: Inertial) -> Axes:
     Where the vehicle hardly turns, its body is taken for forward, left, up or forward, right, down,
     whichever fits its world.
     """
+    level = _axes_from(poses, inertial, TO_DOWN, UP)
+    other = _axes_from(poses, inertial, np.eye(3), DOWN)
+    return other if other.misfit < 0.5 * level.misfit else level
+
+
+def _axes_from(poses: Poses, inertial: Inertial, usual: Array, up: Array) -> Axes:
+    """Return axes from a usual body on, in a world whose z is up, down, or anywhere."""
     start = inertial.seconds(poses.t_ns[:1])[0]
     first, last, rates = rates_of(poses, inertial)
     ours = inertial.means(start + first, start + last)[:, :3]
     known = np.isfinite(ours).all(axis=1)
     ours, rates = ours[known], rates[known]
     force, accel, C_wp = _forces(poses, inertial)
-    found = []
-    for C, up in ((TO_DOWN, UP), (np.eye(3), DOWN)):
-        C, bias, up = C, np.zeros(3), up
-        for _ in range(5):
-            if not poses.is_level and len(force):
-                up = (np.einsum("nij,nj->ni", C_wp, force @ C) - accel).sum(axis=0)
-                up = up / np.linalg.norm(up)
-            should = np.einsum("nji,nj->ni", C_wp, accel + STANDARD_GRAVITY * up)
-            a = np.vstack([ours - bias, force / STANDARD_GRAVITY])
-            b = np.vstack([rates, should / STANDARD_GRAVITY])
-            C = rotation(a, b, 1e-3 * len(b) * (TO_DOWN if up[2] > 0.0 else np.eye(3)))
-            bias = (ours - rates @ C.T).mean(axis=0) if len(ours) else bias
-        turned, left = (_square_about(one) for one in (ours, ours - rates @ C.T))
-        felt = np.einsum("nij,nj->ni", C_wp, force @ C) - STANDARD_GRAVITY * up
-        found.append(
-            Axes(
-                C_bp=C,
-                up_w=up,
-                misfit=float(((a - b @ C.T) ** 2).sum()),
-                share=1.0 - left / max(turned, 1e-12),
-                turns=float(np.sqrt(turned / max(len(ours), 1))),
-                motion=_correlated(felt, accel),
-            )
-        )
-    level, other = found
-    return other if other.misfit < 0.5 * level.misfit else level
+    C, bias = usual, np.zeros(3)
+    for _ in range(ROUNDS):
+        if not poses.is_level and len(force):
+            up = (np.einsum("nij,nj->ni", C_wp, force @ C) - accel).sum(axis=0)
+            up = up / np.linalg.norm(up)
+        should = np.einsum("nji,nj->ni", C_wp, accel + STANDARD_GRAVITY * up)
+        a = np.vstack([ours - bias, force / STANDARD_GRAVITY])
+        b = np.vstack([rates, should / STANDARD_GRAVITY])
+        C = rotation(a, b, USUAL * len(b) * usual)
+        bias = (ours - rates @ C.T).mean(axis=0) if len(ours) else bias
+    turned, left = (_square_about(one) for one in (ours, ours - rates @ C.T))
+    felt = np.einsum("nij,nj->ni", C_wp, force @ C) - STANDARD_GRAVITY * up
+    return Axes(
+        C_bp=C,
+        up_w=up,
+        misfit=float(((a - b @ C.T) ** 2).sum()),
+        share=1.0 - left / max(turned, 1e-12),
+        turns=float(np.sqrt(turned / max(len(ours), 1))),
+        motion=_correlated(felt, accel),
+    )
 
 
 def _square_about(rows: Array) -> float:
@@ -279,9 +284,9 @@ def _correlated(a: Array, b: Array) -> float:
 def _forces(poses: Poses, inertial: Inertial) -> tuple[Array, Array, Array]:
     """Return the log's specific force, the acceleration and attitude by the poses, for pieces."""
     t = inertial.seconds(poses.t_ns)
-    index, chosen = 0, [0]
-    for index in range(1, len(t)):
-        if t[index] - t[chosen[-1]] >= PIECE:
+    chosen = [0]
+    for index, at in enumerate(t.tolist()):
+        if at - t[chosen[-1]] >= PIECE:
             chosen.append(index)
     k = np.array(chosen)
     if len(k) < 3:
