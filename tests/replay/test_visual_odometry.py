@@ -344,6 +344,19 @@ def test_a_csv_holds_poses_and_velocities(tmp_path):
     assert np.isnan(velocities.values[0, 4])  # in the body, unless it says otherwise
 
 
+def test_a_csv_holds_the_drift_from_pose_to_pose(tmp_path):
+    lower = ("xx", "yx", "yy", "zx", "zy", "zz")
+    header = "time_s,gyro_x_rps,gyro_y_rps,gyro_z_rps,accel_x_mps2,accel_y_mps2,accel_z_mps2,"
+    header += "odometry_x_m,odometry_y_m,odometry_z_m,odometry_yaw_drift_deg,"
+    header += ",".join(f"odometry_drift_{one}_cm" for one in lower)
+    path = tmp_path / "drift.csv"
+    rows = [f"{0.01 * k:.2f},0,0,0,0,0,-9.8,{k},0,0,90,1,2,3,4,5,{6 + k}" for k in range(20)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    poses = of_kind(csv.read(path), Kind.POSE)
+    assert poses.values[1, 5] == pytest.approx(np.pi / 2.0)
+    assert poses.values[1, 7:13].tolist() == pytest.approx([0.01, 0.02, 0.03, 0.04, 0.05, 0.07])
+
+
 @has_data
 def test_arrays_of_poses_are_an_aid_by_name():
     one, poses = real(), real().poses()
