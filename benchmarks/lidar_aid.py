@@ -118,7 +118,7 @@ class Flight:
         return t, np.column_stack([degrees[:, 0] % 360.0, degrees[:, 1]])
 
     def write(self, path: Path, seed: int, cut: tuple[float, float] | None = None) -> None:
-        """Write a log; fixes and headings are gone for a time.
+        """Write a log and what its heading is of; fixes and headings are gone for a time.
 
         Args:
             path: Of the .csv.
@@ -136,6 +136,8 @@ class Flight:
             cells[at, first : first + rows.shape[1]] = rows
         lines = [",".join("" if one != one else f"{one:.12g}" for one in row) for row in cells]
         path.write_text("\n".join([COLUMNS, *lines]) + "\n", encoding="utf-8")
+        beside = path.with_name(f"{path.name}.columns.yaml")
+        beside.write_text("heading_source: gnss\n", encoding="utf-8")
 
     def errors(self, found: Table) -> tuple[Array, Array, Array]:
         """Return times on the lidar's clock, errors and sigmas of an estimate's positions."""
