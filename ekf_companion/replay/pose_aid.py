@@ -105,6 +105,20 @@ def with_poses(
             f"{_span(inertial.t_ns)} on the log's clock; {_SAY}"
         )
     axes = find_axes(poses, inertial)
+    _check(path, axes, words)
+    rows = to_events(poses, axes, settings.imu.accel_bias / STANDARD_GRAVITY)
+    rows = rows.take(within)
+    share = f"{len(rows)} of its {len(poses.t_ns)} poses lie within the log"
+    notes += (f"{poses.name}: {words}; {share}",)
+    merged = merge(
+        events, rows, arrival_ns=[np.maximum.accumulate(events.t_ns), np.asarray(rows.t_ns)]
+    )
+    found = replace(log, events=merged, notes=(*log.notes, *notes))
+    return found, _used(settings, poses, is_found=is_found)
+
+
+def _check(path: Path, axes: Axes, words: str) -> None:
+    """Refuse poses that move otherwise than the log does."""
     if axes.turns > TURNS and axes.share < AGREES:
         raise LogError(
             f"{path}: where {words}, it turns otherwise than the log does, and no other delay fits "
@@ -116,20 +130,16 @@ def with_poses(
             f"{path}: its places move against its attitudes and the log's accelerations: an axis "
             "is mirrored; write it with right-handed axes"
         )
-    rows = to_events(poses, axes, settings.imu.accel_bias / STANDARD_GRAVITY)
-    rows = rows.take(within)
-    share = f"{len(rows)} of its {len(poses.t_ns)} poses lie within the log"
-    notes += (f"{poses.name}: {words}; {share}",)
-    merged = merge(
-        events, rows, arrival_ns=[np.maximum.accumulate(events.t_ns), np.asarray(rows.t_ns)]
-    )
+
+
+def _used(settings: Settings, poses: Poses, *, is_found: bool) -> Settings:
+    """Return settings by which poses count that were shifted to where their turns agree, or not."""
     used = replace(settings.visual_odometry, use=True)
     if poses.drift is not None:
         used = replace(used, walk=0.0, speed_walk=0.0, yaw_walk=0.0, scale_std=0.0, scale_walk=0.0)
-    if is_found:
+    if is_found:  # the delay is in it
         used = replace(used, delay=0.0, delay_std=min(MATCHED, used.delay_std))
-    found = replace(log, events=merged, notes=(*log.notes, *notes))
-    return found, replace(settings, visual_odometry=used)
+    return replace(settings, visual_odometry=used)
 
 
 def _span(t_ns: Stamps) -> str:
