@@ -104,6 +104,8 @@ class Reception:
         """Messages that were accepted, and not or not wholly fused, by reason."""
         self.misplaced = 0
         """Origins that came while it fused a position: PX4 1.18 is then 5300 km off."""
+        self.positions: Counter[str] = Counter()
+        """GLOBAL_POSITION_SENSORs by what PX4 does with them."""
         self.is_taken = True
         """Whether the last message was passed to the filter."""
         self._stack = Stack(rules) if rules else None
@@ -119,6 +121,12 @@ class Reception:
         last = self._history
         if Quantity.POSITION in last.fused and last.time_us is not None:
             self.misplaced += now_us - last.time_us <= px4_receiver.ENDS_US
+
+    def take_position(self, position: Any) -> bool:
+        """Judge a GLOBAL_POSITION_SENSOR by PX4's rules; return whether it is fused."""
+        reason = px4_receiver.judge_position(position, self._parameters)
+        _count(self.positions, reason or "fused")
+        return not reason
 
     def take(self, odometry: Any) -> str:
         """Judge a message; return the critical text that the pilot sees, empty: none."""
@@ -145,6 +153,7 @@ class Reception:
             "refused": dict(self.refused),
             "not_fused": dict(self.unfused),
             "misplaced": self.misplaced,
+            "positions": dict(self.positions),
         }
 
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.nav.earth import is_place
 from sim_autopilot import navigation
 from sim_autopilot.acceptance import Reception
 from sim_autopilot.config import SimConfig
@@ -31,6 +32,9 @@ COMPONENT_ID = 1
 SET_MESSAGE_INTERVAL = 511
 REQUEST_MESSAGE = 512
 SET_EKF_SOURCE_SET = 42007
+EXTERNAL_POSITION_ESTIMATE = 43003
+_GLOBAL_FRAMES = (0, 5)
+"""MAV_FRAME_GLOBAL, MAV_FRAME_GLOBAL_INT."""
 _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
 _CRITICAL, _INFO = 2, 6
@@ -92,7 +96,9 @@ class Autopilot:
             self.parameters, self._send, is_bytewise=self.personality.kind is Kind.PX4
         )
         self._handlers: dict[str, Callable[[Frame, Any, int], None]] = {
+            "COMMAND_INT": self._command_int,
             "COMMAND_LONG": self._command,
+            "GLOBAL_POSITION_SENSOR": self._position_sensor,
             "HEARTBEAT": self._heartbeat,
             "ODOMETRY": self._odometry,
             "PARAM_REQUEST_LIST": lambda *_: self._server.send_all(),
@@ -228,13 +234,37 @@ class Autopilot:
             result = ACCEPTED if self.navigator.select(int(command.param1)) else DENIED
         else:
             result = UNSUPPORTED
+        self._answer(frame, command.command, result)
+
+    def _answer(self, frame: Frame, command: int, result: int) -> None:
         self._send(
             "COMMAND_ACK",
-            command=command.command,
+            command=command,
             result=result,
             target_system=frame.system_id,
             target_component=frame.component_id,
         )
+
+    def _command_int(self, frame: Frame, command: Any, now_ns: int) -> None:
+        is_known = command.command == EXTERNAL_POSITION_ESTIMATE
+        is_known &= self.personality.kind is Kind.ARDUPILOT
+        result = self._take_position(command) if is_known else UNSUPPORTED
+        self._answer(frame, command.command, result)
+
+    def _take_position(self, command: Any) -> int:
+        """Move to a position from outside, as ArduPilot does while it has none of its own."""
+        lat, lon = command.x * 1e-7, command.y * 1e-7
+        if command.frame not in _GLOBAL_FRAMES or not is_place(lat, lon):
+            return DENIED
+        if self._last is None:
+            return FAILED
+        place = math.radians(lat), math.radians(lon)
+        return ACCEPTED if self._sensors.take_position(*place, self._last) else FAILED
+
+    def _position_sensor(self, frame: Frame, position: Any, now_ns: int) -> None:
+        if self.personality.kind is Kind.PX4:
+            # The first that its filter fuses is its origin, where it has none
+            self._has_origin |= self.reception.take_position(position)
 
     def _request(self, message: str) -> int:
         requestable = self.personality.requestable

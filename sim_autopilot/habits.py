@@ -66,6 +66,8 @@ class FirmwareSensors:
         """When a fix last had a position, on the world's clock."""
         self._held: Motion | None = None
         """The estimate that it reports for good while GNSS is lost."""
+        self._moved = (0.0, 0.0)
+        """By how much what it was given from outside has moved it since, rad."""
         self._begin_ns: int | None = None
         """Time of the first fix, on the world's clock, like the two beside it."""
         self._next_marker_ns = 0
@@ -187,25 +189,40 @@ class FirmwareSensors:
         """Let the autopilot's own estimate drift, then stand, while GNSS is lost."""
         lost_ns = 0 if self._good_ns is None else cycle.flight_ns - self._good_ns
         if lost_ns < _SECOND_NS:
-            self._held = None
+            self._held, self._moved = None, (0.0, 0.0)
             return cycle
         t, after, now = lost_ns * 1e-9, self._habits.holds_position_after, cycle.estimate
         north = 0.5 * self._habits.outage_drift * t * t
         drifted = now._replace(
-            lat=now.lat + north / _METRES_PER_RADIAN,
+            lat=now.lat + north / _METRES_PER_RADIAN + self._moved[0],
+            lon=now.lon + self._moved[1],
             pos_n=(now.pos_n[0] + north, *now.pos_n[1:]),
             vel_n=(now.vel_n[0] + self._habits.outage_drift * t, *now.vel_n[1:]),
         )
         if not after or t < after:
             return cycle._replace(estimate=drifted)
-        held = self._held = self._held or drifted
+        held = self._held = self._held or drifted._replace(
+            lat=drifted.lat - self._moved[0], lon=drifted.lon - self._moved[1]
+        )
         stands = drifted._replace(
-            lat=held.lat,
-            lon=held.lon,
+            lat=held.lat + self._moved[0],
+            lon=held.lon + self._moved[1],
             pos_n=(*held.pos_n[:2], now.pos_n[2]),
             vel_n=(0.0, 0.0, now.vel_n[2]),
         )
         return cycle._replace(estimate=stands)
+
+    def take_position(self, lat: float, lon: float, reading: Cycle) -> bool:
+        """Move the autopilot's own position to one from outside, rad; return whether it did.
+
+        ArduPilot refuses it before its first fix, and within a second of the last
+        (``NavEKF3_core::setLatLng``, ``deadReckonDeclare_ms``).
+        """
+        if self._good_ns is None or reading.flight_ns - self._good_ns < _SECOND_NS:
+            return False
+        now = reading.estimate
+        self._moved = self._moved[0] + lat - now.lat, self._moved[1] + lon - now.lon
+        return True
 
     def _is_lost(self, now_ns: int) -> bool:
         after = self._habits.no_gps_after

@@ -55,6 +55,22 @@ def judge(m: Any, values: Mapping[str, float], before: History, *, is_old: bool)
     return _in_time(m, wanted & offered, reasons, before, least)
 
 
+def judge_position(m: Any, values: Mapping[str, float]) -> str:
+    """Return what PX4 1.18 does with a GLOBAL_POSITION_SENSOR: why it is not fused; empty: it is.
+
+    A slot is bound to the sensor's id (EKF2_AGPn_ID, 0: to none), and fuses latitude and longitude.
+
+    Source: ``mavlink_receiver.cpp``, ``aux_global_position.cpp``,
+    ``aux_global_position_control.cpp``.
+    """
+    for slot in range(4):
+        bound = values.get(f"EKF2_AGP{slot}_ID", 0)
+        if bound and bound == m.id:
+            control = f"EKF2_AGP{slot}_CTRL"
+            return "" if values.get(control, 0) else f"{control} is 0"
+    return f"no EKF2_AGPn_ID is {m.id}"
+
+
 def _in_time(
     m: Any, usable: frozenset[Quantity], reasons: list[str], before: History, least: float
 ) -> Judgement:

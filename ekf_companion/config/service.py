@@ -151,10 +151,21 @@ class OdometryConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GlobalPositionConfig:
+    """A latitude and longitude, for an autopilot that fuses no ODOMETRY."""
+
+    rate: Annotated[float, Meta(ge=0.0, le=50.0), Setting("Hz", reload=True)] = 0.0
+    """Rate of GLOBAL_POSITION_SENSOR to PX4, which fuses it in place of GNSS, and of
+    MAV_CMD_EXTERNAL_POSITION_ESTIMATE to ArduPilot, which moves to it while it has no position of
+    its own. Withheld where the GNSS in it would count twice. 0: none is sent."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OutputConfig:
     """What we send."""
 
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    global_position: GlobalPositionConfig = field(default_factory=GlobalPositionConfig)
     monitors: tuple[str, ...] = ()
     """Listeners that are not autopilots, as in [udpout:192.168.1.5:14550], or udpbcast:HOST:PORT
     for a whole network. Each is sent our heartbeat and the estimate (as LOCAL_NED and GPS_INS),

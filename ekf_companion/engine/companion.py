@@ -306,7 +306,8 @@ class Companion:
         config = self.tuning.config
         self.vehicle, self._family, self.estimate = vehicle, peer.family, None
         self.pipeline, self._intake = self._open_pipeline(config, peer.family.value)
-        self._publisher = Publisher(config, peer.family)
+        target = peer.system_id, peer.component_id
+        self._publisher = Publisher(config, peer.family, target=target)
         self._health_due, self._pause = Due(1.0), (0, 0)
         self._early = []
         self._offer_streams()

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.core.output.follower import Follower
 from ekf_companion.core.settings.from_settings import has_mean_samples, imu_lag
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
@@ -20,6 +21,7 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
 
 _OFFSET = "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET"
+_POSITION = "GLOBAL_POSITION_SENSOR"
 STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", _OFFSET)
 """Messages about an estimate, which may be requested."""
 _LARGEST = {Family.ARDUPILOT: 50.0}
@@ -107,7 +109,13 @@ class Publisher:
     """Turns the estimates of one vehicle into messages, each at its rate."""
 
     def __init__(
-        self, config: Config, family: Family, ours: Label | None = None, *, is_monitor: bool = False
+        self,
+        config: Config,
+        family: Family,
+        ours: Label | None = None,
+        *,
+        is_monitor: bool = False,
+        target: tuple[int, int] = (0, 0),
     ) -> None:
         """Begin with nothing published.
 
@@ -116,9 +124,12 @@ class Publisher:
             family: The listener's.
             ours: Labels of ODOMETRY, whatever the configuration says.
             is_monitor: Whether the listener only looks on: it gets each estimate as it is.
+            target: System and component id of the listener, for what bears an address.
         """
-        self._family = family
+        self._family, self._target = family, target
+        self._component_id = config.link.component_id
         self._due = {name: Due(default_rate(name, config, family)) for name in STREAMS}
+        self._due[_POSITION] = Due(0.0 if is_monitor else config.output.global_position.rate)
         odometry = config.output.odometry
         self.label = ours or label(family, odometry.frame, odometry.estimator_type)
         """How every ODOMETRY is labelled."""
@@ -166,9 +177,10 @@ class Publisher:
             self.stream.on_restart(lost)
 
     def retune(self, config: Config) -> None:
-        """Decide by another configuration what is sent as ODOMETRY."""
+        """Decide by another configuration what is sent as ODOMETRY, and how often a position."""
         if self.stream is not None:
             self.stream.retune(config.output.odometry)
+            self.set_rate(_POSITION, config.output.global_position.rate)
 
     def set_rates(self, config: Config) -> None:
         """Send each message at the rate of another configuration."""
@@ -223,6 +235,8 @@ class Publisher:
         if "ESTIMATOR_STATUS" in others and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
+        if _POSITION in others and (position := self._global_position(estimate)) is not None:
+            messages.append(position)
         pauses = [self._look.pause, *[one.pause for one in self._due.values()]]
         self._pause = max([begin for begin, _ in pauses]), min([end for _, end in pauses])
         return messages
@@ -247,6 +261,24 @@ class Publisher:
             self._offset = stream.offset
             due[_OFFSET].request()
         return odometry
+
+    def _global_position(self, estimate: Estimate) -> Message | None:
+        """Return the position as an autopilot takes it; None: there is none that it lacks.
+
+        That is while nothing but inertial samples carries it, and where it is the autopilot's own.
+        """
+        now = as_estimate(estimate.values)
+        place, (north, east, down) = (now.lla[0], now.lla[1], now.lla[2]), now.std_pos
+        is_aided = Status.OK <= int(now.status) < Status.DEAD_RECKONING and math.isfinite(place[0])
+        if not is_aided or estimate.health.is_position_autopilots:
+            return None
+        t_ns, std = estimate.t_ns, max(north, east)
+        if self._family is Family.ARDUPILOT:
+            payload = encode.external_position_estimate(t_ns, place, std, self._target)
+            return Message("COMMAND_INT", payload)
+        ours = self._component_id
+        payload = encode.global_position_sensor(t_ns, place, (std, down), self._target, ours)
+        return Message(_POSITION, payload)
 
     def _as_it_is(self, estimate: Estimate, climb: float, is_local: bool) -> Odometry | None:
         """Return an estimate as a monitor is sent it, an invalid one once."""

@@ -218,6 +218,71 @@ def global_position(
     )
 
 
+EXTERNAL_POSITION_ESTIMATE = 43003
+"""MAV_CMD."""
+_GLOBAL, _ESTIMATOR = 0, 6
+"""MAV_FRAME_GLOBAL; GLOBAL_POSITION_ESTIMATOR of GLOBAL_POSITION_SRC."""
+_WRAP_NS = 4096 * 10**9
+"""Where a time in float32 begins anew: below it resolves half a millisecond."""
+
+
+def external_position_estimate(
+    t_ns: int, place: tuple[float, float, float], std: float, target: tuple[int, int]
+) -> bytes:
+    """Return the payload of the COMMAND_INT that gives an autopilot a position.
+
+    Args:
+        t_ns: Time of the estimate, autopilot clock.
+        place: Latitude and longitude (degrees), altitude above mean sea level (m).
+        std: One sigma of the horizontal position, an axis, m.
+        target: System and component id of the autopilot.
+    """
+    return pack(
+        "COMMAND_INT",
+        target_system=target[0],
+        target_component=target[1],
+        command=EXTERNAL_POSITION_ESTIMATE,
+        frame=_GLOBAL,
+        param1=t_ns % _WRAP_NS * 1e-9,
+        param3=std,
+        x=round(place[0] * 1e7),
+        y=round(place[1] * 1e7),
+        z=math.nan,
+    )
+
+
+def global_position_sensor(
+    t_ns: int,
+    place: tuple[float, float, float],
+    stds: tuple[float, float],
+    target: tuple[int, int],
+    sensor_id: int,
+) -> bytes:
+    """Return the payload of GLOBAL_POSITION_SENSOR.
+
+    Args:
+        t_ns: Time of the estimate, autopilot clock.
+        place: Latitude and longitude (degrees), altitude above mean sea level (m).
+        stds: One sigma of the horizontal position, an axis, and of the height, m.
+        target: System and component id of the autopilot.
+        sensor_id: Ours among the sensors of global positions.
+    """
+    return pack(
+        "GLOBAL_POSITION_SENSOR",
+        time_usec=t_ns // 1000,
+        lat=round(place[0] * 1e7),
+        lon=round(place[1] * 1e7),
+        alt_ellipsoid=math.nan,
+        alt=place[2],
+        eph=stds[0],
+        epv=stds[1],
+        target_system=target[0],
+        target_component=target[1],
+        id=sensor_id,
+        source=_ESTIMATOR,
+    )
+
+
 def global_offset(t_ns: int, shift: tuple[float, float, float], yaw: float) -> bytes:
     """Return the payload of LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET.
 

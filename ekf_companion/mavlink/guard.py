@@ -40,11 +40,11 @@ _TRIES = 3
 _IN_FLIGHT = 4
 _GIVE_UP_NS = _TRIES * _TIMEOUT_NS
 """After so long without a new answer, the missing ones are not waited for."""
-_ROUND_NS = SECOND_NS * 3 // 2
+ROUND_NS = SECOND_NS * 3 // 2
 """Every parameter that is watched is read again once in this time: a change counts within 2 s."""
 _SLOWEST_NS = SECOND_NS // 2
 """Between two readings where few are watched."""
-_STALE_NS = 5 * SECOND_NS
+STALE_NS = 5 * SECOND_NS
 _UNANSWERED = 10
 """Without any answer for so long, and to more requests than this, nothing is known any more. On a
 link that loses a tenth of all frames, so many in a row stay unanswered once in a hundred days."""
@@ -111,6 +111,8 @@ class Guard(Service):
         self._answered_ns: int | None = None
         self._unanswered = 0
         self._is_silent = False
+        self._is_position_taken = False
+        """Whether its position is ours without ODOMETRY."""
 
     # What changes
 
@@ -123,7 +125,10 @@ class Guard(Service):
         if self._peer is None:
             self.decision = self._nobody()
         else:
+            was_taken = self._is_position_taken
             self.begin(self._peer)  # what was read long ago may have changed
+            if was_taken:
+                self.note_position_taken()
 
     def begin(self, peer: PeerFound) -> None:
         """Read all parameters again: a reboot may have changed any."""
@@ -142,6 +147,11 @@ class Guard(Service):
         self._forget()
         self.decision = self._nobody()
 
+    def note_position_taken(self) -> None:
+        """Learn that the autopilot has taken a position of ours that is no ODOMETRY."""
+        self._is_position_taken = True
+        self._refuse_ours(True, self.decision.is_yaw_fused)
+
     def tick(self, now_ns: int) -> None:
         """Request what is missing, then read again what could change."""
         if not self._is_asking:
@@ -152,7 +162,7 @@ class Guard(Service):
                 self._request(name, now_ns)
         if not self.is_waiting and now_ns >= self._next_ns:
             names = watched(self.family, self._answers)
-            self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
+            self._next_ns = now_ns + min(ROUND_NS // len(names), _SLOWEST_NS)
             self._turn += 1
             self._unanswered += 1
             self._notice_silence(now_ns)
@@ -162,7 +172,7 @@ class Guard(Service):
         """Stop relying on answers that are too old."""
         if self._is_silent or self._answered_ns is None or self._unanswered <= _UNANSWERED:
             return
-        if now_ns - self._answered_ns > _STALE_NS:
+        if now_ns - self._answered_ns > STALE_NS:
             self._is_silent = True
             self._decide()
 
@@ -269,7 +279,8 @@ class Guard(Service):
                 decision = self._doubted(decision, shared(decision, self._other_id))
         self.decision = decision
         if not self.is_waiting:
-            self._refuse_ours(decision.is_fused, decision.is_yaw_fused)
+            is_ours = decision.is_fused or self._is_position_taken
+            self._refuse_ours(is_ours, decision.is_yaw_fused)
         shown = (decision.is_streaming, decision.reason, decision.remedy)
         if decision.is_settled and shown != self._last:
             self._last = shown

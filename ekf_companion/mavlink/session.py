@@ -31,6 +31,7 @@ from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.following import Following
 from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
+from ekf_companion.mavlink.global_position import MESSAGES, GlobalPosition
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
@@ -152,6 +153,7 @@ class Session:
         self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when, is_flying)
         self.origin = OriginSetter(self.outbox, self.guard, self._emit, is_flying)
         self.new_frame = NewFrame(self.guard, is_flying)
+        self.global_position = GlobalPosition(self.outbox, self._emit, self.guard)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -186,7 +188,8 @@ class Session:
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards: list[Service] = [self.guard, self.origin, self.delivery, self.second_source]
-        guards = [] if options.guard is None else [*guards, self.following, self.new_frame]
+        guards += [self.following, self.new_frame, self.global_position]
+        guards = [] if options.guard is None else guards
         asked = ParameterRequest(self.outbox, lambda: self.decoder.missing)
         self._with_peer: list[Service] = [self.requests, asked, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
@@ -429,7 +432,7 @@ class Session:
         self.heartbeat.status, self.heartbeat.mode = status, mode
 
     def publish(self, message: Message, now_ns: int, t_ns: int | None = None) -> None:
-        """Send a message about the estimate at ``t_ns``; only record an ODOMETRY that is withheld.
+        """Send a message about the estimate at ``t_ns``, or only record what is withheld.
 
         ``t_ns`` is on the autopilot's clock.
         """
@@ -444,6 +447,9 @@ class Session:
             if not (self.may_stream and self.delivery.pacing.takes(now_ns)):
                 self.outbox.withhold(name, payload, now_ns)
                 return
+        elif name in MESSAGES and not self.global_position.may_send(now_ns):
+            self.outbox.withhold(name, payload, now_ns)
+            return
         self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
 
     def data_to_send(self) -> list[bytes]:

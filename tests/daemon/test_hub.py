@@ -1,0 +1,73 @@
+"""What a hub sends beside ODOMETRY, over real sockets, and that a replay sends the same."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.messages import IDS
+from sim_autopilot.autopilot import Kind
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Flight
+from tests.daemon.test_daemon import (
+    SYSTEM,
+    US,
+    Daemon,
+    Record,
+    assert_same_as_its_messages,
+    fly_over,
+    free_port,
+)
+
+
+@dataclass
+class Flown:
+    """A flight with a daemon."""
+
+    record: Record
+    wire: object
+    words: str
+
+    def of(self, name):
+        """Return what reached the autopilot of a message."""
+        return [unpack(f) for f in self.wire.frames() if f.message_id == IDS[name]]
+
+
+def fly(folder, kind, config, **parameters):
+    """Fly for twelve seconds with a real daemon."""
+    port = free_port()
+    options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
+    plan = SimConfig(system_id=SYSTEM, parameters=parameters)
+    with Daemon(folder, *options, config=f"{config}\nhttp: {{port: 0}}\n") as daemon:
+        daemon.wait_for(f"udpin:127.0.0.1:{port}: open")
+        flight = Flight.plan("figure-eight", plan, duration=12.0)
+        wire = fly_over(f"udpout:127.0.0.1:{port}", flight, kind)
+        assert daemon.stop() == 0
+        words = daemon.words.read_text()
+    return Flown(Record(folder / "flight.tlog", daemon.config), wire, words)
+
+
+GIVEN = "output: {global_position: {rate: 5}}"
+SLOT = {"EKF2_AGP0_ID": 194, "EKF2_AGP0_CTRL": 1, "EKF2_GPS_CTRL": 0}
+
+
+def test_px4_without_gnss_is_given_our_global_position(tmp_path):
+    flown = fly(tmp_path, Kind.PX4, GIVEN, **SLOT)
+    given = flown.of("GLOBAL_POSITION_SENSOR")
+    assert len(given) > 20
+    assert {(m.target_system, m.id, m.source) for m in given} == {(SYSTEM, US, 6)}
+    assert_same_as_its_messages(flown.record)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_beside_its_own_gnss_no_autopilot_takes_it(tmp_path, kind):
+    flown = fly(tmp_path, kind, GIVEN, EKF2_AGP0_ID=194, EKF2_AGP0_CTRL=1)
+    assert not flown.of("GLOBAL_POSITION_SENSOR")
+    if kind is Kind.PX4:
+        assert "set EKF2_GPS_CTRL 0" in flown.words
+        assert flown.record.of("GLOBAL_POSITION_SENSOR")
+    else:
+        assert len(flown.of("COMMAND_INT")) > 20
+        answers = [m for _, m in flown.record.of("COMMAND_ACK", component=1) if m.command == 43003]
+        assert {answer.result for answer in answers} == {4}
+    assert_same_as_its_messages(flown.record)
