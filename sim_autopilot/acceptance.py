@@ -7,6 +7,7 @@ fused. Innovation gates are left out: they depend on the flight, not on the mess
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
@@ -14,12 +15,16 @@ from typing import Any
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
+from ekf_companion.nav import so3
 from sim_autopilot import ardupilot_receiver, px4_receiver
 from sim_autopilot.judgement import History, Judgement, Quantity, Stack
 
 _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
 _SOURCES = ((3, 3, 1, 3, 1), (0, 0, 1, 0, 0), (0, 0, 1, 0, 0))
 """Of each of ArduPilot's three sets: 3 GNSS, 1 barometer or compass, 0 none."""
+_NO_GPS = 3
+"""Of EK2_GPS_TYPE: then external navigation is fused."""
+_LOCAL_FRD = 20
 _REASONS = 32
 """Most reasons that are counted separately."""
 DEFAULTS: Mapping[Stack, Mapping[str, float]] = {
@@ -89,11 +94,30 @@ def would_accept(
     return judgement
 
 
+class Vision:
+    """A VISION_POSITION_ESTIMATE as both receivers hand it on: local, without a velocity."""
+
+    def __init__(self, vision: Any) -> None:
+        self._vision = vision
+        self.time_usec, self.pose_covariance = vision.usec, vision.covariance
+        self.q = tuple(so3.from_euler(vision.roll, vision.pitch, vision.yaw).tolist())
+        self.vx = self.vy = self.vz = math.nan
+        self.frame_id, self.child_frame_id, self.estimator_type, self.quality = _LOCAL_FRD, 12, 2, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._vision, name)
+
+
 class Reception:
     """Judges the ODOMETRY that an autopilot receives by its own rules, and counts the verdicts."""
 
-    def __init__(self, rules: str, parameters: Mapping[str, float]) -> None:
-        """Judge by a ``Stack``'s rules; empty: accept all. Parameters are read for each message."""
+    def __init__(
+        self, rules: str, parameters: Mapping[str, float], *, knows_odometry: bool = True
+    ) -> None:
+        """Judge by a ``Stack``'s rules; empty: accept all. Parameters are read for each message.
+
+        Old firmware does not know ODOMETRY.
+        """
         self.accepted = 0
         """Messages that were passed to the filter."""
         self.fused = 0
@@ -108,7 +132,7 @@ class Reception:
         """GLOBAL_POSITION_SENSORs by what PX4 does with them."""
         self.is_taken = True
         """Whether the last message was passed to the filter."""
-        self._stack = Stack(rules) if rules else None
+        self._stack, self._knows_odometry = Stack(rules) if rules else None, knows_odometry
         self._parameters = parameters
         self._history = History()
 
@@ -133,7 +157,24 @@ class Reception:
         if self._stack is None:
             self.accepted += 1
             return ""
-        judgement = judge(self._stack, odometry, self._parameters, self._history)
+        if not self._knows_odometry:
+            self.is_taken = False
+            _count(self.refused, "this firmware does not know ODOMETRY")
+            return ""
+        return self._note(judge(self._stack, odometry, self._parameters, self._history))
+
+    def take_vision(self, vision: Any) -> None:
+        """Judge a VISION_POSITION_ESTIMATE as an ODOMETRY without velocity and quality."""
+        if self._stack is None:
+            self.accepted += 1
+        elif self._stack is Stack.ARDUPILOT and not self._knows_odometry:
+            # Before 4.1 one parameter decides on the receiver and on vision together
+            self.accepted += 1
+            self.fused += self._parameters.get("EK2_GPS_TYPE", 0) == _NO_GPS
+        else:
+            self._note(judge(self._stack, Vision(vision), self._parameters, self._history))
+
+    def _note(self, judgement: Judgement) -> str:
         self._history = judgement.history
         self.is_taken = judgement.is_accepted
         if not judgement.is_accepted:

@@ -80,7 +80,11 @@ class Autopilot:
             self.parameters.setdefault("SCHED_LOOP_RATE", self.personality.loop_rate or 400.0)
         self.round_trips_ns: list[int] = []
         """Of TIMESYNC."""
-        self.reception = Reception(self.personality.rules, self.parameters)
+        self.reception = Reception(
+            self.personality.rules,
+            self.parameters,
+            knows_odometry=self.personality.knows_odometry,
+        )
         """Its verdicts on the ODOMETRY that it received."""
         self.navigator = navigator
         self.reboots = 0
@@ -293,6 +297,7 @@ class Autopilot:
             self.navigator.odometry(odometry, stamp_us * 1e-6)
 
     def _vision(self, frame: Frame, vision: Any, now_ns: int) -> None:
+        self.reception.take_vision(vision)
         if self.navigator is not None:
             stamp_us = self.navigator.arrival.stamp_us(vision.usec, now_ns // 1000)
             self.navigator.vision(vision, stamp_us * 1e-6)

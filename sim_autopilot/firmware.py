@@ -138,6 +138,16 @@ PERSONALITIES = {
             has_random_targets=False,
             rules="px4-old",
         ),
+        dataclasses.replace(
+            _PX4,
+            name="px4-1.8",
+            summary="PX4 1.8: reads VISION_POSITION_ESTIMATE, and no ODOMETRY",
+            version=0x010802FF,
+            parameters={"EKF2_AID_MASK": 1, "MAV_1_RATE": 0, **_DELAY},
+            has_random_targets=False,
+            knows_odometry=False,
+            rules="px4-old",
+        ),
         _ARDUPILOT,
         dataclasses.replace(
             _ARDUPILOT,
@@ -146,6 +156,16 @@ PERSONALITIES = {
             version=0x040507FF,
             streams={k: v for k, v in (_ARDUPILOT.streams or {}).items() if k != "HIGHRES_IMU"},
             requestable=frozenset({"AUTOPILOT_VERSION", "HEARTBEAT"}),
+        ),
+        dataclasses.replace(
+            _ARDUPILOT,
+            name="ardupilot-4.0",
+            summary="ArduPilot 4.0: EK2_GPS_TYPE 3 reads VISION_POSITION_ESTIMATE, no ODOMETRY",
+            version=0x040007FF,
+            streams={k: v for k, v in (_ARDUPILOT.streams or {}).items() if k != "HIGHRES_IMU"},
+            requestable=frozenset({"AUTOPILOT_VERSION", "HEARTBEAT"}),
+            parameters={"VISO_TYPE": 0, "EK2_GPS_TYPE": 0},
+            knows_odometry=False,
         ),
     )
 }

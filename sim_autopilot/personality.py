@@ -75,6 +75,8 @@ class Personality:
     has_random_targets: bool = False
     """Its answers to TIMESYNC carry any bytes as target ids: PX4 1.16 and 1.17 leave them
     uninitialised (``rsync`` in ``mavlink_timesync.cpp``). Measured: 1293 answers, 1240 pairs."""
+    knows_odometry: bool = True
+    """Whether it reads ODOMETRY (PX4 from 1.9 on, ArduPilot from 4.1 on); else it ignores it."""
     rules: str = ""
     """Rules for the ODOMETRY that it receives (:class:`sim_autopilot.acceptance.Stack`); empty: all
     is accepted."""

@@ -117,6 +117,11 @@ class OdometryConfig:
     """What happens while the autopilot fuses ODOMETRY but its own estimate differs from it. tell:
     that is reported (log, status, pilot). withhold: ODOMETRY stops too, so that its own failsafe
     acts."""
+    message: Literal["auto", "odometry", "vision_position_estimate"] = "auto"
+    """auto: ODOMETRY, but VISION_POSITION_ESTIMATE to firmware that does not read it, by its
+    version: PX4 before 1.9, ArduPilot before 4.1. With VISION_POSITION_ESTIMATE, not to PX4, goes
+    VISION_SPEED_ESTIMATE. All that is said of ODOMETRY holds for these too, but they are always
+    LOCAL_NED and state no quality."""
     frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED", "continuous"] = "auto"
     """Frame of the pose; the numbers are the same. auto: LOCAL_NED to PX4, for which LOCAL_FRD may
     point anywhere: its heading would stay unaligned, its global position unknown; LOCAL_FRD to

@@ -34,6 +34,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import (
     Event,
+    FirmwareReported,
     GuardChanged,
     IntervalSet,
     OriginTold,
@@ -285,6 +286,10 @@ class Companion:
                     self._begin(event)
                 case GuardChanged() if self._publisher is not None and self.session.guard.is_old:
                     self._publisher.use_body_velocity()
+                case FirmwareReported(version) if self._publisher is not None:
+                    message = self.tuning.config.output.odometry.message
+                    if message == "auto" and not encode.knows_odometry(self._family, version):
+                        self._publisher.use_vision()
                 case OriginTold(lat, lon, alt) if self._publisher is not None:
                     self._publisher.set_origin((lat, lon, alt))
                 case Rebooted():

@@ -138,6 +138,8 @@ class Publisher:
         self._is_relative = states == "relative" or (states == "auto" and is_follower)
         self._climb_time = odometry.climb_time if self._is_relative else 0.0
         is_framed = not (is_monitor or odometry.frame == "continuous")
+        if odometry.message == "vision_position_estimate" and not is_monitor:
+            self.use_vision()
         self.frame = AutopilotFrame(family if is_framed else Family.UNKNOWN)
         """The local frame that ODOMETRY is expressed in."""
         self._follower = Follower(imu_lag(config, family), has_mean_samples(config, family))
@@ -170,6 +172,11 @@ class Publisher:
     def use_body_velocity(self) -> None:
         """Send the velocity along the body's axes: older PX4 understands no others."""
         self.label = replace(self.label, velocity=Frame.BODY_FRD)
+
+    def use_vision(self) -> None:
+        """Send VISION_POSITION_ESTIMATE in place of ODOMETRY: old firmware reads nothing else."""
+        ned = Frame.LOCAL_NED
+        self.label = replace(self.label, frame=ned, velocity=ned, is_vision=True)
 
     def on_restart(self, lost: float) -> None:
         """Learn that the estimate goes on from a run before, and that nothing was sent for s."""
@@ -209,7 +216,7 @@ class Publisher:
     def due(self, estimate: Estimate) -> list[Message]:
         """Return the messages that are due at the stamp of an estimate."""
         messages: list[Message] = []
-        t_ns, ours, stream = estimate.t_ns, self.label, self.stream
+        t_ns, stream = estimate.t_ns, self.stream
         if stream is not None and estimate.sample is not None:
             self._add(estimate.sample)
         if self._pause[0] <= t_ns < self._pause[1]:
@@ -228,10 +235,7 @@ class Publisher:
         if _OFFSET in others and stream is not None and stream.is_continuous:
             messages.append(Message(_OFFSET, encode.global_offset(t_ns, *stream.offset)))
         if odometry is not None:
-            payload = encode.odometry(
-                odometry, frame=ours.frame, velocity=ours.velocity, estimator=ours.estimator
-            )
-            messages.append(Message("ODOMETRY", payload, is_replaceable=True))
+            messages += self._pose(odometry)
         if "ESTIMATOR_STATUS" in others and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
@@ -261,6 +265,23 @@ class Publisher:
             self._offset = stream.offset
             due[_OFFSET].request()
         return odometry
+
+    def _pose(self, odometry: Odometry) -> list[Message]:
+        """Return ODOMETRY, or what old firmware reads in its place: that states no quality."""
+        ours = self.label
+        if not ours.is_vision:
+            payload = encode.odometry(
+                odometry, frame=ours.frame, velocity=ours.velocity, estimator=ours.estimator
+            )
+            return [Message("ODOMETRY", payload, is_replaceable=True)]
+        if odometry.quality < 0:
+            return []
+        payload = encode.vision_position_estimate(odometry)
+        messages = [Message("VISION_POSITION_ESTIMATE", payload, is_replaceable=True)]
+        if self._family is not Family.PX4:  # which has no reader of it
+            payload = encode.vision_speed_estimate(odometry)
+            messages.append(Message("VISION_SPEED_ESTIMATE", payload))
+        return messages
 
     def _global_position(self, estimate: Estimate) -> Message | None:
         """Return the position as an autopilot takes it; None: there is none that it lacks.

@@ -9,8 +9,11 @@ from enum import IntEnum, IntFlag
 from struct import Struct
 from typing import Literal
 
+import numpy as np
+
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.nav import so3
 from ekf_companion.nav.state import Odometry, Status
 
 
@@ -55,6 +58,10 @@ SYSTEM_STATUS = {
 
 
 _ODOMETRY = Struct("<Q220s4Bb")
+_POSE, _VELOCITY, _TRIANGLE = Struct("<7f"), Struct("<3f"), Struct("<21f")
+_POSE_COVARIANCE = 13 * 4
+_VELOCITY_COVARIANCE = _POSE_COVARIANCE + _TRIANGLE.size
+"""Where the covariances begin in the numbers of an estimate."""
 
 
 def odometry(
@@ -74,6 +81,48 @@ def odometry(
         estimate.reset_count % 255 + 1,
         estimator,
         max(-1, min(100, estimate.quality)),
+    )
+
+
+KNOWS_ODOMETRY = {Family.PX4: (1, 9), Family.ARDUPILOT: (4, 1)}
+"""Firmware from which on ODOMETRY is read. Sources: PX4 #9301; ArduPilot, the release that also
+brought EK3_SRCn_*."""
+
+
+def knows_odometry(family: Family, version: str) -> bool:
+    """Return whether a firmware reads ODOMETRY; ``version`` as in ``1.16.0``, empty: not known."""
+    found = tuple(int(part) for part in version.split(".")[:2] if part.isdigit())
+    return len(found) < 2 or found >= KNOWS_ODOMETRY.get(family, (0, 0))
+
+
+POSES = ("ODOMETRY", "VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE")
+"""As which the estimate is sent: the first, or the others together."""
+
+
+def vision_position_estimate(estimate: Odometry) -> bytes:
+    """Return the payload of VISION_POSITION_ESTIMATE."""
+    x, y, z, *q = _POSE.unpack_from(estimate.numbers)
+    return pack(
+        "VISION_POSITION_ESTIMATE",
+        usec=estimate.t_ns // 1000,
+        **dict(zip("xyz", (x, y, z), strict=True)),
+        **dict(zip(("roll", "pitch", "yaw"), so3.to_euler(np.array(q)).tolist(), strict=True)),
+        covariance=_TRIANGLE.unpack_from(estimate.numbers, _POSE_COVARIANCE),
+        reset_counter=estimate.reset_count % 255 + 1,
+    )
+
+
+def vision_speed_estimate(estimate: Odometry) -> bytes:
+    """Return the payload of VISION_SPEED_ESTIMATE; the velocity must be along the local axes."""
+    xx, xy, xz, _, _, _, yy, yz, _, _, _, zz = _TRIANGLE.unpack_from(
+        estimate.numbers, _VELOCITY_COVARIANCE
+    )[:12]
+    return pack(
+        "VISION_SPEED_ESTIMATE",
+        usec=estimate.t_ns // 1000,
+        **dict(zip("xyz", _VELOCITY.unpack_from(estimate.numbers, _POSE.size), strict=True)),
+        covariance=(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+        reset_counter=estimate.reset_count % 255 + 1,
     )
 
 
@@ -308,6 +357,9 @@ class Label:
     velocity: Frame
     estimator: EstimatorType
     warnings: tuple[str, ...]
+    is_vision: bool = False
+    """Whether VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE are sent in place of it; then both
+    frames are LOCAL_NED."""
     """What of the configuration is not done, or has no effect; sentences without full stop."""
 
 

@@ -114,7 +114,7 @@ class GlobalPosition(Service):
         if not guard.options.independent and gnss:
             reason = f"{slots[0]} and {_GNSS} are not 0: the GNSS that is in it would count twice"
             return reason, f"set {_GNSS} 0"
-        guard.note_position_taken()
+        guard.note_taken()
         return "", ""
 
     def _value(self, name: str, now_ns: int) -> float | None:
@@ -133,4 +133,4 @@ class GlobalPosition(Service):
 
     def _take_answer(self, ack: Any, frame: Frame, now_ns: int) -> None:
         if ack.command == EXTERNAL_POSITION_ESTIMATE and ack.result == _ACCEPTED:
-            self._guard.note_position_taken()
+            self._guard.note_taken()

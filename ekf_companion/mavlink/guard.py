@@ -111,8 +111,8 @@ class Guard(Service):
         self._answered_ns: int | None = None
         self._unanswered = 0
         self._is_silent = False
-        self._is_position_taken = False
-        """Whether its position is ours without ODOMETRY."""
+        self._is_taken = self._is_yaw_taken = False
+        """Whether its position, and its yaw, are ours by other ways than parameters show."""
 
     # What changes
 
@@ -125,10 +125,10 @@ class Guard(Service):
         if self._peer is None:
             self.decision = self._nobody()
         else:
-            was_taken = self._is_position_taken
+            was_taken, is_yaw = self._is_taken, self._is_yaw_taken
             self.begin(self._peer)  # what was read long ago may have changed
             if was_taken:
-                self.note_position_taken()
+                self.note_taken(is_yaw=is_yaw)
 
     def begin(self, peer: PeerFound) -> None:
         """Read all parameters again: a reboot may have changed any."""
@@ -147,10 +147,19 @@ class Guard(Service):
         self._forget()
         self.decision = self._nobody()
 
-    def note_position_taken(self) -> None:
-        """Learn that the autopilot has taken a position of ours that is no ODOMETRY."""
-        self._is_position_taken = True
-        self._refuse_ours(True, self.decision.is_yaw_fused)
+    def note_taken(self, *, is_yaw: bool = False) -> None:
+        """Learn that the autopilot has taken a position of ours, and maybe a yaw, until it reboots.
+
+        That is what its parameters do not show.
+        """
+        if not self._is_taken or is_yaw > self._is_yaw_taken:
+            self._is_taken, self._is_yaw_taken = True, is_yaw or self._is_yaw_taken
+            self._tell_what_is_ours()
+
+    def _tell_what_is_ours(self) -> None:
+        decision = self.decision
+        is_yaw = decision.is_yaw_fused or self._is_yaw_taken
+        self._refuse_ours(decision.is_fused or self._is_taken, is_yaw)
 
     def tick(self, now_ns: int) -> None:
         """Request what is missing, then read again what could change."""
@@ -279,8 +288,7 @@ class Guard(Service):
                 decision = self._doubted(decision, shared(decision, self._other_id))
         self.decision = decision
         if not self.is_waiting:
-            is_ours = decision.is_fused or self._is_position_taken
-            self._refuse_ours(is_ours, decision.is_yaw_fused)
+            self._tell_what_is_ours()
         shown = (decision.is_streaming, decision.reason, decision.remedy)
         if decision.is_settled and shown != self._last:
             self._last = shown

@@ -111,6 +111,8 @@ class Requests(Service):
 
     def begin(self, peer: PeerFound) -> None:
         """Request everything."""
+        if peer != self._peer:
+            self.version = ""
         self._peer = peer
         self._loop_rate.begin(peer)
         self.results.clear()

@@ -24,10 +24,10 @@ from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decision import Decision, Hold, stream_state
-from ekf_companion.mavlink.decode import Decoder, DecoderOptions, aids
+from ekf_companion.mavlink.decode import Decoder, DecoderOptions, Family, aids
 from ekf_companion.mavlink.delivery import Delivery
 from ekf_companion.mavlink.discovery import Discovery
-from ekf_companion.mavlink.encode import SystemStatus
+from ekf_companion.mavlink.encode import POSES, SystemStatus, knows_odometry
 from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.following import Following
 from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
@@ -197,6 +197,8 @@ class Session:
         self.splitter = Splitter()
         self.autopilot_sender: Hashable = None
         """Who sent the last frame of the autopilot."""
+        self._is_pose_sent = False
+        """Whether the last pose was sent; the velocity beside it goes with it."""
         self._held: Hold | None = None
         """What was announced last."""
         self._vehicle: PeerFound | None = None
@@ -439,18 +441,29 @@ class Session:
         name, payload, is_replaceable = message
         if name == "GPS_GLOBAL_ORIGIN":
             self.origin.note(payload)
-        elif name == "ODOMETRY":
-            if self.origin.is_settled:
-                self.origin.sent_ns = now_ns
-            else:
-                self.origin.on_odometry(now_ns)
-            if not (self.may_stream and self.delivery.pacing.takes(now_ns)):
+        elif name in POSES:
+            if name != POSES[-1]:
+                self._is_pose_sent = self._may_send_pose(now_ns)
+            if not self._is_pose_sent:
                 self.outbox.withhold(name, payload, now_ns)
                 return
         elif name in MESSAGES and not self.global_position.may_send(now_ns):
             self.outbox.withhold(name, payload, now_ns)
             return
         self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
+
+    def _may_send_pose(self, now_ns: int) -> bool:
+        """Return whether an ODOMETRY, or what old firmware reads in its place, is sent now."""
+        if self.origin.is_settled:
+            self.origin.sent_ns = now_ns
+        else:
+            self.origin.on_odometry(now_ns)
+        is_sent = self.may_stream and self.delivery.pacing.takes(now_ns)
+        family, version = self.discovery.family, self.requests.version
+        if is_sent and family is Family.ARDUPILOT and not knows_odometry(family, version):
+            # By which parameters it fuses that, the guard does not read
+            self.guard.note_taken(is_yaw=True)
+        return is_sent
 
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, one item each, and forget them."""

@@ -9,6 +9,7 @@ from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link
+from ekf_companion.mavlink.encode import POSES
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import seconds_since
 from ekf_companion.nav.measurements import Kind
@@ -86,7 +87,7 @@ def output_state(
         remedy=state.remedy,
         parameters=dict(decision.parameters),
         sent=dict(session.outbox.sent),
-        withheld=session.outbox.withheld["ODOMETRY"],
+        withheld=sum(session.outbox.withheld[name] for name in POSES[:2]),
         late_s=session.delivery.lag.typical(now_ns)[0],
         every=session.delivery.pacing.every,
         second_source=session.second_source.words,

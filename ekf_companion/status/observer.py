@@ -19,6 +19,7 @@ from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link
+from ekf_companion.mavlink.encode import POSES
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
 from ekf_companion.nav.arrays import Array
@@ -126,7 +127,7 @@ PERIOD_NS = SECOND_NS // 2
 """Time between two copies of the counters."""
 _COPIES = 11
 """Copies kept: they span five seconds."""
-_ODOMETRY = "ODOMETRY"
+_ODOMETRY, _VISION = POSES[:2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,7 +242,7 @@ class Observer:
             received={LAYOUTS[number].name: count for number, count in session.received.items()},
             odometries=self._odometries,
             losses=Mark(
-                session.outbox.sent.get(_ODOMETRY, 0)
+                sum(session.outbox.sent.get(name, 0) for name in (_ODOMETRY, _VISION))
                 - self._odometries
                 - self._link.backlog.replaceable,
                 self._stale,
@@ -363,7 +364,8 @@ class Observer:
         companion = self._companion
         session, unheard = companion.session, self._unheard()
         state = output_state(session, new, rate, unheard, companion.silence, now.now_ns)
-        taken = {_ODOMETRY: now.odometries} if _ODOMETRY in state.sent else {}
+        is_alone = _ODOMETRY in state.sent and _VISION not in state.sent
+        taken = {_ODOMETRY: now.odometries} if is_alone else {}
         lost = apportion([one.losses for one in (*self._history, now)])
         return replace(
             state,

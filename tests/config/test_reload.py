@@ -26,6 +26,7 @@ def test_what_decides_on_the_state_the_link_or_files_waits_for_a_restart():
     }
     assert {name for name in waiting if name.startswith(("output", "align"))} == {
         *(
+            "output.odometry.message",
             "output.odometry.frame",
             "output.odometry.covariance",
             "output.odometry.climb_time",

@@ -8,13 +8,13 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import SimConfig
+from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 from tests.daemon.test_daemon import (
     SYSTEM,
     US,
     Daemon,
     Record,
-    assert_same_as_its_messages,
     fly_over,
     free_port,
 )
@@ -47,6 +47,14 @@ def fly(folder, kind, config, **parameters):
     return Flown(Record(folder / "flight.tlog", daemon.config), wire, words)
 
 
+def assert_a_replay_sends_the_same(record, *names):
+    """Rule 38: live is replay, to the bit."""
+    converted = Record(record.convert(".tlog"), record.config)
+    for name in names:
+        assert converted.payloads(name) == record.payloads(name) != []
+
+
+NAMES = {Kind.PX4: "GLOBAL_POSITION_SENSOR", Kind.ARDUPILOT: "COMMAND_INT"}
 GIVEN = "output: {global_position: {rate: 5}}"
 SLOT = {"EKF2_AGP0_ID": 194, "EKF2_AGP0_CTRL": 1, "EKF2_GPS_CTRL": 0}
 
@@ -56,7 +64,7 @@ def test_px4_without_gnss_is_given_our_global_position(tmp_path):
     given = flown.of("GLOBAL_POSITION_SENSOR")
     assert len(given) > 20
     assert {(m.target_system, m.id, m.source) for m in given} == {(SYSTEM, US, 6)}
-    assert_same_as_its_messages(flown.record)
+    assert_a_replay_sends_the_same(flown.record, "ODOMETRY", "GLOBAL_POSITION_SENSOR")
 
 
 @pytest.mark.parametrize("kind", list(Kind))
@@ -70,4 +78,22 @@ def test_beside_its_own_gnss_no_autopilot_takes_it(tmp_path, kind):
         assert len(flown.of("COMMAND_INT")) > 20
         answers = [m for _, m in flown.record.of("COMMAND_ACK", component=1) if m.command == 43003]
         assert {answer.result for answer in answers} == {4}
-    assert_same_as_its_messages(flown.record)
+    assert_a_replay_sends_the_same(flown.record, "ODOMETRY", NAMES[kind])
+
+
+@pytest.mark.parametrize(
+    ("firmware", "names"),
+    [
+        ("px4-1.8:EKF2_AID_MASK=24", {"VISION_POSITION_ESTIMATE"}),
+        ("ardupilot-4.0", {"VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE"}),
+    ],
+)
+def test_firmware_that_knows_no_odometry_is_sent_what_it_knows(tmp_path, firmware, names):
+    always = "output: {odometry: {mode: always, age_limit: 10}}"
+    flown = fly(tmp_path, parse(firmware), always)
+    for name in ("VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE"):
+        assert (len(flown.of(name)) > 100) is (name in names)
+    # ODOMETRY until its version is known
+    before = max((message.time_usec for message in flown.of("ODOMETRY")), default=0)
+    assert before < flown.of("VISION_POSITION_ESTIMATE")[0].usec
+    assert_a_replay_sends_the_same(flown.record, *names)
