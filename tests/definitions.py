@@ -9,12 +9,13 @@ import re
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import development
 
 from tests.paths import ROOT
 
 PAGE = ROOT / "ekf_companion" / "mavlink" / "definitions.txt"
 _HEAD = """\
-# MAVLink messages of the dialect ardupilotmega; `make reference` writes this file.
+# MAVLink messages of the dialect ardupilotmega, and a newer one; `make reference` writes this file.
 # Id, name, CRC_EXTRA, then the fields in wire order: struct code (with an array's length), name."""
 _EXTENSIONS = {"TIMESYNC": ["B target_system", "B target_component"]}
 """Extension fields that the definitions have gained since pymavlink was packaged."""
@@ -26,11 +27,14 @@ MISSING = {
     "32s serial_number",
 }
 """Messages of the common definitions that no packaged dialect has."""
+NEWER = {441: development.mavlink_map[441]}
+"""GNSS_INTEGRITY, which autopilots and ground stations know beside that dialect."""
 
 
 def definitions() -> str:
     """Return a line on each message, by id."""
-    known = {number: _line(one) for number, one in dialect.mavlink_map.items()} | MISSING
+    packaged = {**dialect.mavlink_map, **NEWER}
+    known = {number: _line(one) for number, one in packaged.items()} | MISSING
     lines = (f"{number} {line}" for number, line in sorted(known.items()))
     return "\n".join((_HEAD, *lines)) + "\n"
 

@@ -18,14 +18,20 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import Frame, Label, StatusFlag, label
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.nav.state import Odometry, Status
+from ekf_companion.nav.state import Odometry, Reason, Status
 
 _OFFSET = "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET"
 _POSITION = "GLOBAL_POSITION_SENSOR"
-STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", _OFFSET)
+_INTEGRITY = "GNSS_INTEGRITY"
+STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", _OFFSET, _INTEGRITY)
 """Messages about an estimate, which may be requested."""
 _LARGEST = {Family.ARDUPILOT: 50.0}
 """Of ODOMETRY, Hz: its EKF throws away what comes faster."""
+_PLACE_FALSE = {Reason.POSITION_REFUSED, Reason.SLIDE}
+_CAUGHT = _PLACE_FALSE | {
+    *(Reason.VELOCITY_REFUSED, Reason.POSITION_OFF, Reason.HEIGHT_REFUSED, Reason.HEIGHT_OFF)
+}
+"""Why an estimate is not OK where its receiver is wrong; of these, the horizontal position."""
 _SMALLEST = {"ODOMETRY": 1.0}
 _SELDOM = 0.1
 """Hz; more rarely is as good as never."""
@@ -159,6 +165,8 @@ class Publisher:
         self._origin: Place | None = None
         """Of the estimate that a monitor was sent last."""
         self._offset = NO_OFFSET
+        self._is_caught = False
+        """Whether the receiver was found to be wrong when that was looked at last."""
 
     @property
     def due_ns(self) -> int:
@@ -206,6 +214,8 @@ class Publisher:
             has_one &= self.stream is None or not self.stream.silence
         elif name == _OFFSET:
             has_one = self.stream is not None and self.stream.is_continuous
+        elif name == _INTEGRITY:
+            has_one = bool(_CAUGHT & estimate.health.reasons.keys())
         else:
             has_one = estimate.origin is not None
         if has_one:
@@ -239,6 +249,8 @@ class Publisher:
         if "ESTIMATOR_STATUS" in others and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
+        if _INTEGRITY in others and estimate.origin is not None:
+            messages += self._integrity(estimate.health)
         if _POSITION in others and (position := self._global_position(estimate)) is not None:
             messages.append(position)
         pauses = [self._look.pause, *[one.pause for one in self._due.values()]]
@@ -282,6 +294,18 @@ class Publisher:
             payload = encode.vision_speed_estimate(odometry)
             messages.append(Message("VISION_SPEED_ESTIMATE", payload))
         return messages
+
+    def _integrity(self, health: Health) -> list[Message]:
+        """Return GNSS_INTEGRITY while the receiver contradicts the estimate, and once after."""
+        was_caught, reasons = self._is_caught, health.reasons.keys()
+        self._is_caught = bool(_CAUGHT & reasons)
+        if not was_caught and not self._is_caught:
+            return []
+        is_false = bool(_PLACE_FALSE & reasons)
+        payload = encode.gnss_integrity(
+            health.receiver, is_caught=self._is_caught, is_place_false=is_false
+        )
+        return [Message(_INTEGRITY, payload)]
 
     def _global_position(self, estimate: Estimate) -> Message | None:
         """Return the position as an autopilot takes it; None: there is none that it lacks.

@@ -168,6 +168,32 @@ def estimator_status(
     )
 
 
+_RAIM_OK, _RAIM_FAILED, _SPOOFING_DETECTED = 2, 3, 3
+_NO_BYTE, _NO_WORD = 0xFF, 0xFFFF
+
+
+def gnss_integrity(receiver: int, *, is_caught: bool, is_place_false: bool) -> bytes:
+    """Return the payload of GNSS_INTEGRITY.
+
+    Args:
+        receiver: Whose it is, from 0 on.
+        is_caught: Whether its fixes contradict the estimate.
+        is_place_false: Whether its position is false, though it states a fix.
+    """
+    return pack(
+        "GNSS_INTEGRITY",
+        id=receiver,
+        raim_hfom=_NO_WORD,
+        raim_vfom=_NO_WORD,
+        raim_state=_RAIM_FAILED if is_caught else _RAIM_OK,
+        spoofing_state=_SPOOFING_DETECTED if is_place_false else 0,
+        corrections_quality=_NO_BYTE,
+        system_status_summary=_NO_BYTE,
+        gnss_signal_quality=_NO_BYTE,
+        post_processing_quality=_NO_BYTE,
+    )
+
+
 _ONBOARD_CONTROLLER = 18
 _NO_AUTOPILOT = 8
 _VERSION = 3

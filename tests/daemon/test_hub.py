@@ -6,18 +6,14 @@ import pytest
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.messages import IDS
+from sim_autopilot import fly as live
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import SimConfig
+from sim_autopilot.faults import fault
 from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
-from tests.daemon.test_daemon import (
-    SYSTEM,
-    US,
-    Daemon,
-    Record,
-    fly_over,
-    free_port,
-)
+from tests.daemon.test_daemon import SPEED, SYSTEM, US, Daemon, Record, Wire, free_port
+from tests.daemon.waiting import LIMIT
 
 
 @dataclass
@@ -33,15 +29,21 @@ class Flown:
         return [unpack(f) for f in self.wire.frames() if f.message_id == IDS[name]]
 
 
-def fly(folder, kind, config, **parameters):
-    """Fly for twelve seconds with a real daemon."""
+def fly(folder, kind, config, faults=(), duration=12.0, **parameters):
+    """Fly with a real daemon."""
     port = free_port()
     options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
     plan = SimConfig(system_id=SYSTEM, parameters=parameters)
+    flight = Flight.plan("figure-eight", plan, duration=duration)
+
+    async def body(link):
+        wire = Wire(link, None)
+        await live.fly(flight, wire, personality=kind, faults=faults, speed=SPEED, wait=LIMIT)
+        return wire
+
     with Daemon(folder, *options, config=f"{config}\nhttp: {{port: 0}}\n") as daemon:
         daemon.wait_for(f"udpin:127.0.0.1:{port}: open")
-        flight = Flight.plan("figure-eight", plan, duration=12.0)
-        wire = fly_over(f"udpout:127.0.0.1:{port}", flight, kind)
+        wire = live.run(live.over(f"udpout:127.0.0.1:{port}", body))
         assert daemon.stop() == 0
         words = daemon.words.read_text()
     return Flown(Record(folder / "flight.tlog", daemon.config), wire, words)
@@ -97,3 +99,12 @@ def test_firmware_that_knows_no_odometry_is_sent_what_it_knows(tmp_path, firmwar
     before = max((message.time_usec for message in flown.of("ODOMETRY")), default=0)
     assert before < flown.of("VISION_POSITION_ESTIMATE")[0].usec
     assert_a_replay_sends_the_same(flown.record, *names)
+
+
+def test_a_receiver_that_is_caught_is_told(tmp_path):
+    jump = fault.parse("gnss-jump:start=12,duration=4,east=80")
+    config = "output: {odometry: {age_limit: 10}}"
+    flown = fly(tmp_path, Kind.PX4, config, faults=[jump], duration=20.0)
+    states = [(m.raim_state, m.spoofing_state) for m in flown.of("GNSS_INTEGRITY")]
+    assert (3, 3) in states
+    assert_a_replay_sends_the_same(flown.record, "GNSS_INTEGRITY")
