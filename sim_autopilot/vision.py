@@ -11,11 +11,13 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.flight import Motion
 
 _HEARTBEAT_NS = 1_000_000_000
@@ -73,7 +75,8 @@ class VisionSource:
 
         Args:
             motion: The truth of now.
-            message: VISION_POSITION_ESTIMATE, VISION_SPEED_ESTIMATE or ODOMETRY.
+            message: VISION_POSITION_ESTIMATE, VISION_SPEED_ESTIMATE, VISION_POSITION_DELTA or
+                ODOMETRY.
             offset_n: Its origin is so far from the true one, m, with the sign of what it says.
             drift_n: Growth of that, m/s.
             rate: Hz.
@@ -89,6 +92,8 @@ class VisionSource:
         self._walked = np.zeros(3)
         self._past: deque[tuple[int, Motion]] = deque()
         self._held: list[bytes] = []
+        self._before: tuple[int, Array, Array] | None = None
+        """Stamp (us), place and attitude in its own frame of what it said last."""
         self._frozen: Motion | None = None
         self._motion, self._message, self._drift_n = motion, message, np.array(drift_n)
         self._period_ns = round(1e9 / rate)
@@ -139,8 +144,8 @@ class VisionSource:
     def _say(self, now_ns: int) -> None:
         faults, since = self._faults, (now_ns - (self._begin_ns or now_ns)) * 1e-9
         true = self._true(now_ns, since)
-        way = float(np.linalg.norm(true.vel_n)) * self._period_ns * 1e-9
-        self._walked += faults.walk * math.sqrt(way) * self._rng.standard_normal(3)
+        length = float(np.linalg.norm(true.vel_n)) * self._period_ns * 1e-9
+        self._walked += faults.walk * math.sqrt(length) * self._rng.standard_normal(3)
         yaw = self.yaw + faults.yaw_slip * since
         q_fn = so3.from_euler(0.0, 0.0, yaw)
         vel_f = faults.scale * so3.rotate(q_fn, np.array(true.vel_n) + self._drift_n)
@@ -176,11 +181,33 @@ class VisionSource:
         elif self._message == "VISION_SPEED_ESTIMATE":
             place = dict(zip("xyz", vel_f.tolist(), strict=True))
             fields = {"usec": stamp_us, "covariance": [_VARIANCE, 0, 0, 0, _VARIANCE, 0, 0, 0, 0]}
+        elif self._message == "VISION_POSITION_DELTA":
+            way = self._travelled(stamp_us, pos_f, so3.from_euler(*euler))
+            if way is not None:
+                self._hold(self._sender.message(self._message, **way))
+            return
         else:
             angles = dict(zip(("roll", "pitch", "yaw"), euler.tolist(), strict=True))
             fields = {"usec": stamp_us, **angles, "covariance": covariance}
         said = self._sender.message(self._message, **place, **fields, reset_counter=self.counter)
+        self._hold(said)
+
+    def _travelled(self, stamp_us: int, pos_f: Array, q_fb: Array) -> dict[str, Any] | None:
+        """Return the way since the last time, by the body's axes of now; None: there was none."""
+        before, self._before = self._before, (stamp_us, pos_f, q_fb)
+        if before is None or stamp_us <= before[0]:
+            return None
+        return {
+            "time_usec": stamp_us,
+            "time_delta_usec": stamp_us - before[0],
+            "angle_delta": so3.log(so3.multiply(so3.conjugate(before[2]), q_fb)).tolist(),
+            "position_delta": so3.rotate(so3.conjugate(q_fb), pos_f - before[1]).tolist(),
+            "confidence": 100.0,
+        }
+
+    def _hold(self, said: bytes) -> None:
+        """Send it, or wait until a burst is full."""
         self._held.append(said)
-        if len(self._held) >= faults.burst:
+        if len(self._held) >= self._faults.burst:
             self._out += self._held
             self._held = []

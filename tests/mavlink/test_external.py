@@ -51,7 +51,8 @@ class Link:
         self.tell_time()
 
     def hear(self, name, voice=VISION, **fields):
-        stamp = "time_usec" if name in ("ODOMETRY", "ATT_POS_MOCAP") else "usec"
+        stamped = ("ODOMETRY", "ATT_POS_MOCAP", "VISION_POSITION_DELTA")
+        stamp = "time_usec" if name in stamped else "usec"
         said = voice.say(name, **({stamp: self.now_ns // 1000} | fields))
         return self.session.receive(said, self.now_ns)
 
@@ -234,6 +235,44 @@ def test_a_clock_that_leaps_is_another():
         base = 3_000_000 if k < 20 else -900_000_000
         (pose,) = link.hear("VISION_POSITION_ESTIMATE", usec=link.now_ns // 1000 - base)
         assert abs(pose.t_ns - link.now_ns) < 1 * MS
+
+
+DELTA = {"time_delta_usec": 100_000, "position_delta": (0.1, 0.2, -0.3), "confidence": 100.0}
+
+
+def test_what_was_travelled_is_the_mean_velocity_in_the_middle_of_its_span():
+    (velocity,) = Link().hear("VISION_POSITION_DELTA", **DELTA)
+    assert (velocity.t_ns, velocity.is_level) == (10 * SECOND - 50 * MS, False)
+    assert [velocity.x, velocity.y, velocity.z] == pytest.approx([1.0, 2.0, -3.0])
+    assert velocity.std == pytest.approx(0.1)
+
+
+def test_what_was_travelled_in_a_turn_is_along_the_axes_of_its_middle():
+    """On a circle to the right: by the axes at its end, the way is to the left."""
+    turn, way = 0.4, 2.0 * 5.0 / 4.0 * math.sin(0.2)
+    delta = (way * math.cos(0.2), -way * math.sin(0.2), 0.0)
+    fields = {"time_delta_usec": 100_000, "position_delta": delta, "confidence": 50.0}
+    (velocity,) = Link().hear("VISION_POSITION_DELTA", **fields, angle_delta=(0.0, 0.0, turn))
+    mean = 10.0 * way
+    assert [velocity.x, velocity.y, velocity.z] == pytest.approx([mean, 0.0, 0.0], abs=1e-6)
+    assert velocity.std == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"confidence": 0.0},
+        {"confidence": -1.0},
+        {"confidence": NAN},
+        {"time_delta_usec": 0},
+        {"time_delta_usec": 1_000_001},
+        {"time_delta_usec": 2**63},
+        {"position_delta": (NAN, 0.0, 0.0)},
+        {"angle_delta": (0.0, math.inf, 0.0)},
+    ],
+)
+def test_a_way_that_cannot_be_is_refused(fields):
+    assert not Link().hear("VISION_POSITION_DELTA", **(DELTA | fields))
 
 
 def test_all_that_it_reads_is_a_message_that_an_autopilot_may_fuse():

@@ -49,6 +49,7 @@ def off(loop, board):
         ("ODOMETRY", Measured.POSE),
         ("VISION_POSITION_ESTIMATE", Measured.POSE),
         ("VISION_SPEED_ESTIMATE", Measured.VELOCITY),
+        ("VISION_POSITION_DELTA", Measured.VELOCITY),
     ],
 )
 def test_each_message_is_used_and_named(message, kind):

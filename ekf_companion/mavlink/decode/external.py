@@ -13,11 +13,14 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind, PoseSample, VelocitySample
 
 Axes = tuple[tuple[int, float], ...]
@@ -45,6 +48,13 @@ _SAME_US = 1_000_000
 """A stamp so near to the autopilot's newest is by its clock."""
 _SKEW = 100e-6
 """By so much of the time two clocks may run apart."""
+_SURE = 100.0
+"""Highest confidence, per cent."""
+_SPAN_US = 1_000_000
+"""Longest span of a difference of position: over a longer one its mean velocity is none of then."""
+_DELTA_STD = 0.1, 0.9
+"""One sigma of a velocity by such a difference at full and at no confidence, m/s (EK3_VIS_VERR_MIN,
+EK3_VIS_VERR_MAX)."""
 _SENDERS = 16
 """Told apart, at most."""
 
@@ -88,6 +98,7 @@ class External:
             "VICON_POSITION_ESTIMATE": self._angles,
             "ATT_POS_MOCAP": self._mocap,
             "VISION_SPEED_ESTIMATE": self._speed,
+            "VISION_POSITION_DELTA": self._delta,
         }
         self.readers = {IDS[name]: reader for name, reader in readers.items()}
         """By message id."""
@@ -169,6 +180,26 @@ class External:
         """Read VISION_SPEED_ESTIMATE: a velocity in a frame whose z points down."""
         std = _std(m.covariance, (0, 4, 8))
         return _velocity(t_ns, (m.x, m.y, m.z), _DOWN, std, is_level=True)
+
+    def _delta(self, m: Any, t_ns: int) -> Measurements:
+        """Read VISION_POSITION_DELTA: what is travelled, as the mean velocity in the body.
+
+        It is stated in the body's axes at the end of its span, and counts in the middle, half of
+        its turn before. Source of the sigma by confidence: ArduPilot, ``writeBodyFrameOdom``.
+        """
+        if not 0.0 < m.confidence <= _SURE:
+            return self._context.refuse("odometry: failed, its source says")
+        if not 0 < m.time_delta_usec <= _SPAN_US:
+            return self._context.refuse("odometry: no time span, or one of more than a second")
+        if not all(map(math.isfinite, m.angle_delta)):
+            return []
+        span = m.time_delta_usec * 1e-6
+        half = so3.exp(0.5 * np.array(m.angle_delta))
+        velocity = so3.rotate(half, np.array(m.position_delta) / span).tolist()
+        least, most = _DELTA_STD
+        std = least + (most - least) * (1.0 - m.confidence / _SURE)
+        t_ns -= 500 * m.time_delta_usec
+        return _velocity(t_ns, velocity, _DOWN, std, is_level=False)
 
     def _pose_of(
         self,
