@@ -29,7 +29,8 @@ Rooms, from the bottom up; imports point down only
     cli        the commands
 
 As a library
-    ``estimate`` takes arrays and returns a trajectory, ``Stream`` takes sample by sample;
+    ``estimate`` takes arrays and returns a trajectory, ``Stream`` takes sample by sample,
+    ``Board`` speaks with the daemon on the same board;
     ``open_log`` reads a recording, ``run_filter`` takes a filter through it, ``OwnAid`` is a
     measurement of your own.
 """
@@ -42,6 +43,7 @@ from typing import TYPE_CHECKING, Any
 from ekf_companion.version import __version__
 
 if TYPE_CHECKING:
+    from ekf_companion.arrays.board import Board, BoardEstimate
     from ekf_companion.arrays.estimates import Estimates
     from ekf_companion.arrays.run import estimate
     from ekf_companion.arrays.stream import Stream, StreamEstimate
@@ -58,6 +60,8 @@ if TYPE_CHECKING:
     from ekf_companion.replay.read import read as open_log
 
 __all__ = [
+    "Board",
+    "BoardEstimate",
     "Estimates",
     "FilterName",
     "Fixes",
@@ -75,6 +79,8 @@ __all__ = [
     "with_poses",
 ]
 _PLACES = {
+    "Board": ("arrays.board", "Board"),
+    "BoardEstimate": ("arrays.board", "BoardEstimate"),
     "Estimates": ("arrays.estimates", "Estimates"),
     "FilterName": ("replay.filters_by_name", "FilterName"),
     "Fixes": ("arrays.types", "Fixes"),

@@ -31,7 +31,7 @@ from ekf_companion.config.service import (
 )
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
-from ekf_companion.link.address import parse_monitor, parse_peer, parse_url
+from ekf_companion.link.address import parse_aid, parse_monitor, parse_peer, parse_url
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,6 +150,9 @@ def parse_config(data: object, name: str) -> Config:
         address = parse_url(config.link.url)
         key = "link.peer"
         address = replace(address, peer=parse_peer(config.link.peer, address))
+        key = "link.aid_url"
+        if config.link.aid_url:
+            parse_aid(config.link.aid_url, config.link.aid_peers, address)
         key = "output.monitors"
         for url in config.output.monitors:
             parse_monitor(url, address)

@@ -53,6 +53,12 @@ class LinkConfig:
     """System ids to accept, as in [1, 255]. Empty: all."""
     allow_components: tuple[Identifier, ...] = ()
     """Component ids to accept, likewise."""
+    aid_url: str = ""
+    """Second port, at which software of this board sends poses and velocities (ODOMETRY, VISION_*),
+    as in udpin:127.0.0.1:14560; visual_odometry.use or visual_velocity.use must be true. Empty:
+    none."""
+    aid_peers: tuple[str, ...] = ()
+    """Hosts whose datagrams it accepts, as in [192.168.1.7]. Empty: this board only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,7 @@ from ekf_companion.daemon.http import open_http_server
 from ekf_companion.daemon.key_file import open_signing
 from ekf_companion.daemon.monitors import Monitors
 from ekf_companion.daemon.recent_events import RecentEvents
-from ekf_companion.daemon.reception import deliver, open_reception
+from ekf_companion.daemon.reception import deliver, open_aid_port, open_reception
 from ekf_companion.daemon.systemd import Systemd
 from ekf_companion.daemon.tlog_recorder import open_recorder
 from ekf_companion.engine.companion import Companion
@@ -144,6 +144,7 @@ class Daemon:
             on_state=self._on_state,
             on_sent=self._on_sent,
         )
+        self._aid_port = open_aid_port(config, self.receive_from_board)
         self._monitors = Monitors(config, self.link, signing)
         self._recorder = open_recorder(config.record)
         found = None if self._checkpoint is None else self._checkpoint.read()
@@ -186,8 +187,9 @@ class Daemon:
 
     @property
     def links(self) -> list[Link]:
-        """The links to run: the autopilot's, and the monitors'."""
-        return [self.link, *self._monitors.links]
+        """The links to run: the autopilot's, the second port, and the monitors'."""
+        aid_ports = [] if self._aid_port is None else [self._aid_port]
+        return [self.link, *aid_ports, *self._monitors.links]
 
     def receive(self, received: Received) -> None:
         """Process what was read, and send what follows from it.
@@ -206,6 +208,14 @@ class Daemon:
             self._run_periodic(now_ns)
         else:
             self._send(now_ns)
+
+    def receive_from_board(self, received: Received) -> None:
+        """Process what software of this board sent beside the link, after all that came before."""
+        data, now_ns, sender = received
+        self._notice_pause(now_ns)
+        self._process_waiting()
+        self._companion.receive_from_board(data, now_ns, sender)
+        self._send(now_ns)
 
     def _process_waiting(self) -> None:
         companion, waiting = self._companion, self._waiting

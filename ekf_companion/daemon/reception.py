@@ -7,15 +7,18 @@ answered, and a TCP client that sends nothing else is disconnected.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
 from ekf_companion.config.config import Config
 from ekf_companion.daemon.clock import unix_clock
-from ekf_companion.link.address import parse_url
+from ekf_companion.link.address import parse_aid, parse_url
 from ekf_companion.link.link import Link, Received
 from ekf_companion.link.peers import Peers
 from ekf_companion.mavlink.session import Session
+
+_log = logging.getLogger(__name__)
 
 
 def open_reception(
@@ -43,6 +46,26 @@ def open_reception(
         on_read=on_read,
         on_sent=on_sent,
     )
+
+
+def open_aid_port(config: Config, on_read: Callable[[Received], None]) -> Link | None:
+    """Return the second port, at which poses and velocities come; None: none is configured.
+
+    Raises:
+        LinkError: The URL is none.
+    """
+    link = config.link
+    if not link.aid_url:
+        return None
+    if not (config.visual_odometry.use or config.visual_velocity.use):
+        _log.warning(
+            "link.aid_url: nothing that comes there is used; set visual_odometry.use or "
+            "visual_velocity.use to true"
+        )
+    address = parse_aid(link.aid_url, link.aid_peers, parse_url(link.url))
+    peers = Peers(is_pinning=False)
+    peers.allow(link.aid_peers)
+    return Link(address, clock=unix_clock, peers=peers, on_read=on_read)
 
 
 def deliver(

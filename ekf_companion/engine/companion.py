@@ -145,6 +145,15 @@ class Companion:
             messages += self._process([one.row() for one in measurements], now_ns)
         return messages
 
+    def receive_from_board(
+        self, data: bytes, now_ns: int, sender: Hashable = None
+    ) -> list[Message]:
+        """Process bytes that came beside the link, as :meth:`receive` does those of the link."""
+        messages: list[Message] = []
+        for measurements in self.session.steps_of_board(data, now_ns, sender):
+            messages += self._process([one.row() for one in measurements], now_ns)
+        return messages
+
     def may_wait(self, data: bytes, due_ns: int = NEVER_NS) -> bool:
         """Return whether bytes may as well be received later, with those that come after them.
 

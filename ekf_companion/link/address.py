@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -49,6 +50,7 @@ class Address:
         return f"{self.kind.value}:{host}:{self.port}"
 
 
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
 DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT, Kind.UDP_BROADCAST)
 
 _SCHEMES = {
@@ -128,6 +130,29 @@ def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
     if match[3] is not None and not 0 < port < 65536:
         raise LinkError(f"{peer}: {port} is no port; leave it out to accept any port of that host")
     return match[1] or match[2], port
+
+
+def parse_aid(url: str, peers: Collection[str], link: Address) -> Address:
+    """Read the address of a second port, at which poses and velocities come.
+
+    Raises:
+        LinkError: It is no address to listen at, or the autopilot's own, or it is open to others
+            and nobody is named who may send.
+    """
+    address = parse_url(url)
+    if address.kind is not Kind.UDP_IN:
+        raise LinkError(f"{url}: others send datagrams there; write udpin:127.0.0.1:PORT")
+    if link.kind is Kind.UDP_IN and address.port == link.port:
+        raise LinkError(f"{url}: is the autopilot's own link ({link}); take another port")
+    for peer in peers:
+        if re.fullmatch(r"[0-9A-Fa-f:.]+(%\w+)?", peer) is None:
+            raise LinkError(f"{peer!r:.60}: aid_peers takes numeric addresses, as in 192.168.1.7")
+    if not peers and address.host not in LOOPBACK:
+        raise LinkError(
+            f"{url}: anybody on the network could send there; write "
+            f"udpin:127.0.0.1:{address.port}, or name in link.aid_peers who may"
+        )
+    return address
 
 
 def parse_monitor(url: str, link: Address) -> Address:

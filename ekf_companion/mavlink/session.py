@@ -194,7 +194,10 @@ class Session:
         self._with_peer: list[Service] = [self.requests, asked, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
         self.all_routes, self.peer_routes = _routes(self._with_all), _routes(self._with_peer)
-        self.splitter = Splitter()
+        self.splitter, self.board_splitter = Splitter(), Splitter()
+        """Of what comes by the link, and of what software of this board sends beside it."""
+        self.from_board: Counter[str] = Counter()
+        """Frames of the second, by what was made of them."""
         self.autopilot_sender: Hashable = None
         """Who sent the last frame of the autopilot."""
         self._is_pose_sent = False
@@ -242,7 +245,27 @@ class Session:
                 self.autopilot_sender = sender
                 yield self._receive_from_autopilot(frame, now_ns)
             else:
-                yield self._receive_from_other(frame)
+                yield self._receive_from_other(frame, now_ns)
+
+    def steps_of_board(
+        self, data: bytes, now_ns: int, sender: Hashable = None
+    ) -> Iterator[list[Measurement]]:
+        """Process bytes that did not come by the autopilot's link, but from software of this board.
+
+        What is no pose and no velocity, and what bears the autopilot's ids or ours, is counted and
+        left out, also of the record: a replay takes what is there for the link's.
+        """
+        self.changes += 1
+        for frame in self.board_splitter.feed(data, sender):
+            peer = self.peer
+            if peer is None or frame.message_id not in self.decoder.external.readers:
+                self.from_board["no pose or velocity" if peer else "no autopilot yet"] += 1
+            elif frame[1:3] in (peer, self.outbox.ids):
+                self.from_board["the autopilot's ids, or ours"] += 1
+            else:
+                self.from_board["read"] += 1
+                self.outbox.record(frame.raw, now_ns)
+                yield self._receive_from_other(frame, now_ns)
 
     def receive_frame(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Process a whole frame of a known message that anybody may send, as :meth:`steps` does.
@@ -254,7 +277,7 @@ class Session:
         self.splitter.pass_over(1)
         if self._is_of_autopilot(frame, now_ns):
             return self._receive_from_autopilot(frame, now_ns)
-        return self._receive_from_other(frame)
+        return self._receive_from_other(frame, now_ns)
 
     def pass_over(self, count: int, size: int, heard: int, echoes: int = 0) -> None:
         """Count frames, and their bytes, that were processed elsewhere (:mod:`.reader`).
@@ -307,12 +330,12 @@ class Session:
             return False
         return True
 
-    def _receive_from_other(self, frame: Frame) -> list[Measurement]:
+    def _receive_from_other(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Return what another component measured, which is neither the autopilot nor we."""
         peer, source = self.discovery.peer, frame[1:3]
         if not self.options.reads_others or peer is None or source in (peer, self.outbox.ids):
             return []
-        return self.decoder.external.read(frame, peer[0])
+        return self.decoder.external.read(frame, peer[0], quantise(now_ns))
 
     def _receive_from_autopilot(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Handle what only the autopilot may say; return what it measured."""
@@ -522,6 +545,7 @@ class Session:
             "signed": self.admission.signed,
             **{f"not admitted: {why}": count for why, count in self.admission.refused.items()},
             **{f"ignored: {whose}": count for whose, count in self.ignored.items()},
+            **{f"aid port: {what}": count for what, count in self.from_board.items()},
             **{f"refused: {why}": count for why, count in self.refused.items()},
         }
 

@@ -6,6 +6,7 @@ import pytest
 
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.second_source import POSES
+from ekf_companion.mavlink.session import Session, SessionOptions
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind, PoseSample, VelocitySample
 from tests.mavlink.conversation import MS, SECOND, Voice, met
@@ -278,3 +279,74 @@ def test_a_way_that_cannot_be_is_refused(fields):
 def test_all_that_it_reads_is_a_message_that_an_autopilot_may_fuse():
     assert {*Link().session.decoder.external.readers} <= POSES
     assert IDS["VISION_SPEED_ESTIMATE"] in POSES
+
+
+# On this board
+
+
+@pytest.mark.parametrize("age", [0.0, 0.08, 0.5])
+def test_a_stamp_by_our_own_clock_keeps_its_age(age):
+    """Unlike one by another clock, of which a constant age is not seen at first."""
+    link = Link()
+    unix_ns = 1_800_000_000 * SECOND
+    for _ in range(40):
+        link.now_ns += 50 * MS
+        t_ns = link.now_ns
+        # By the autopilot's clock; by ours all is 57 years later
+        sample = {"time_usec": t_ns // 1000, "zacc": -9.81, "fields_updated": 0x3F}
+        link.session.receive(link.autopilot.say("HIGHRES_IMU", **sample), t_ns + unix_ns)
+        stamp = (t_ns + unix_ns) // 1000 - round(age * 1e6)
+        said = VISION.say("VISION_POSITION_ESTIMATE", usec=stamp)
+        (pose,) = link.session.receive(said, t_ns + unix_ns + 1 * MS)
+    assert pose.t_ns == pytest.approx(t_ns - age * SECOND, abs=2 * MS)
+
+
+def test_samples_that_come_late_do_not_move_our_clock():
+    link = Link()
+    unix_ns = 1_800_000_000 * SECOND
+    for k in range(60):
+        link.now_ns += 50 * MS
+        t_ns = link.now_ns
+        late_ns = 0 if k < 30 else 200 * MS
+        sample = {"time_usec": (t_ns - late_ns) // 1000, "zacc": -9.81, "fields_updated": 0x3F}
+        link.session.receive(link.autopilot.say("HIGHRES_IMU", **sample), t_ns + unix_ns)
+        said = VISION.say("VISION_POSITION_ESTIMATE", usec=(t_ns + unix_ns) // 1000)
+        (pose,) = link.session.receive(said, t_ns + unix_ns)
+        assert pose.t_ns == pytest.approx(t_ns, abs=1 * MS)
+
+
+def beside(link, name, voice=VISION, **fields):
+    """Send a message to the second port."""
+    said = voice.say(name, **({"usec": link.now_ns // 1000} | fields))
+    steps = link.session.steps_of_board(said, link.now_ns)
+    return [one for found in steps for one in found]
+
+
+def test_at_the_second_port_poses_and_velocities_are_read_and_recorded_and_nothing_else():
+    link = Link()
+    link.session.outbox._is_recording = True
+    assert len(beside(link, "VISION_POSITION_ESTIMATE")) == 1
+    assert len(beside(link, "VISION_SPEED_ESTIMATE", voice=Voice(240, 7))) == 0  # the first counts
+    pose = {"usec": link.now_ns // 1000}
+    for voice in (Voice(1, 1), Voice(1, 194)):
+        assert not beside(link, "VISION_POSITION_ESTIMATE", voice=voice)
+    steps = link.session.steps_of_board(VISION.heartbeat() + b"noise" * 3, link.now_ns)
+    assert [one for found in steps for one in found] == []
+    counters = link.session.counters()
+    assert counters["aid port: read"] == 2
+    assert counters["aid port: the autopilot's ids, or ours"] == 2
+    assert counters["aid port: no pose or velocity"] >= 1
+    assert len(link.session.outbox.take_record()) == 2
+    # It is no second source: the autopilot does not hear it
+    for _ in range(10):
+        link.go(0.1)
+        beside(link, "VISION_POSITION_ESTIMATE", **(pose | {"usec": link.now_ns // 1000}))
+        link.session.tick(link.now_ns)
+    assert link.session.second_source.words == ""
+
+
+def test_before_there_is_an_autopilot_the_second_port_reads_nothing():
+    session = Session(SessionOptions(rates={}, reads_others=True))
+    said = VISION.say("VISION_POSITION_ESTIMATE", usec=5)
+    assert list(session.steps_of_board(said, 0)) == []
+    assert session.counters()["aid port: no autopilot yet"] == 1

@@ -1,8 +1,10 @@
 """Poses and velocities that other components send: visual odometry, motion capture.
 
-They are stamped by the autopilot's clock where the two are synchronised, else by one of their own.
-Of that only the difference counts: the least lag that it ever showed is taken for none, and what is
-constant of it the estimator finds as a delay.
+They are stamped by the autopilot's clock where the two are synchronised, by ours (unix time) where
+the sender is on this board, else by a clock of their own. How far ours is from the autopilot's its
+newest stamps show, at the arrival of each message. Of a clock of their own only the difference
+counts: the least lag that it ever showed is taken for none, and what is constant of it the
+estimator finds as a delay.
 
 Of several senders the first counts until it is silent.
 """
@@ -45,7 +47,10 @@ _GROUND = 240
 """Ids of systems from here on are of ground stations and their like, which send what a motion
 capture sees; a lower one that is not the autopilot's is another vehicle."""
 _SAME_US = 1_000_000
-"""A stamp so near to the autopilot's newest is by its clock."""
+"""A stamp so near to the autopilot's newest is by its clock; one as old by ours is by that."""
+_AHEAD_US = 10_000
+"""So far ahead of ours a clock on this board may be: ours is set once at the start, the other as
+the network says."""
 _SKEW = 100e-6
 """By so much of the time two clocks may run apart."""
 _SURE = 100.0
@@ -59,6 +64,26 @@ _SENDERS = 16
 """Told apart, at most."""
 
 
+class _OurClock:
+    """Our clock, brought to the autopilot's."""
+
+    def __init__(self) -> None:
+        self._offset: int | None = None
+        self._last = 0
+
+    def offset(self, now_us: int, latest_us: int) -> int:
+        """Return what is added to a time of ours, given the newest stamp that has come by now.
+
+        The most that was seen is nearest: what comes seldom, or late, is older.
+        """
+        offset = latest_us - now_us
+        if self._offset is not None and abs(offset - self._offset) <= _SAME_US:
+            drift = math.ceil(_SKEW * max(now_us - self._last, 0))
+            offset = max(offset, self._offset - drift)
+        self._offset, self._last = offset, now_us
+        return offset
+
+
 class _Clock:
     """Stamps of a sender, brought to the autopilot's clock."""
 
@@ -68,14 +93,16 @@ class _Clock:
         self._last = 0
         self._is_known = False
 
-    def to_ns(self, stamp_us: int, latest_us: int) -> int:
-        """Return when it was true, given the autopilot's newest stamp."""
+    def to_ns(self, stamp_us: int, latest_us: int, now_us: int, ours_us: int) -> int:
+        """Return when it was true, given the autopilot's newest stamp, and our time and offset."""
         if stamp_us == 0:
             return latest_us * 1000  # it does not say
         lag = latest_us - stamp_us
         if abs(lag) <= _SAME_US and (self._offset is None or not self._is_known):
             self._is_known = True
             return stamp_us * 1000
+        if -_AHEAD_US <= now_us - stamp_us <= _SAME_US:
+            return (stamp_us + ours_us) * 1000  # it is on this board
         if self._offset is None or abs(lag - self._offset) > _SAME_US:
             self._offset = lag  # the first of it, or of a clock that has leapt
         else:
@@ -110,15 +137,17 @@ class External:
         """Forget everything after a reboot."""
         self._senders: list[tuple[int, int, int]] = []
         self._clocks: dict[tuple[int, int], _Clock] = {}
+        self._ours = _OurClock()
         self._sources = {kind: Preference() for kind in (Kind.POSE, Kind.VELOCITY)}
         self.used.clear()
 
-    def read(self, frame: Frame, system_id: int) -> Measurements:
+    def read(self, frame: Frame, system_id: int, now_ns: int) -> Measurements:
         """Return what a frame of another component measures.
 
         Args:
             frame: Of any message.
             system_id: The autopilot's.
+            now_ns: When it arrived, as a .tlog holds it.
         """
         reader = self.readers.get(frame.message_id)
         if reader is None:
@@ -135,7 +164,10 @@ class External:
             self._senders.append(source)
         message = unpack(frame)
         stamp_us = message.time_usec if hasattr(message, "time_usec") else message.usec
-        t_ns = self._clocks.setdefault(source[:2], _Clock()).to_ns(stamp_us, latest_us)
+        now_us = now_ns // 1000
+        ours_us = self._ours.offset(now_us, latest_us)
+        clock = self._clocks.setdefault(source[:2], _Clock())
+        t_ns = clock.to_ns(stamp_us, latest_us, now_us, ours_us)
         found = reader(message, t_ns)
         rank = self._senders.index(source)
         return [one for one in found if self._admit(one, rank, source)]
