@@ -491,6 +491,11 @@ def test_where_all_is_signed_a_radio_proves_nobody_and_neither_does_our_echo():
 
 # Whatever comes
 
+VISIONS = (
+    *("VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE", "VISION_POSITION_DELTA"),
+    *("VICON_POSITION_ESTIMATE", "ATT_POS_MOCAP", "GLOBAL_VISION_POSITION_ESTIMATE"),
+)
+
 
 @given(st.sampled_from(sorted(LAYOUTS)), st.data())
 @settings(deadline=None, max_examples=400)
@@ -608,3 +613,29 @@ def test_one_that_is_not_to_be_listened_to_is_not_expected_either():
     session = expecting(autopilot, autopilot_system_id=8)
     assert session.receive(autopilot.imu(5_000_000), 0) == []
     assert session.peer is None
+
+
+def test_a_flow_by_more_milliseconds_than_there_are_has_no_time():
+    session, _ = met(ARDUPILOT)
+    sample = {"time_usec": 5_000_000, "zacc": -9.81, "fields_updated": 0x3F}
+    session.receive(Sender(1, 1).message("HIGHRES_IMU", **sample), 0)
+    assert not session.receive(
+        Sender(1, 1).message("OPTICAL_FLOW", time_usec=1 << 56, quality=9), 1
+    )
+    assert session.refused["optical flow: no time"] == 1
+
+
+@given(st.sampled_from(["ODOMETRY", *VISIONS]), st.data())
+@settings(deadline=None, max_examples=200)
+def test_no_message_of_others_with_any_values_raises(name, data):
+    session, _ = met(ARDUPILOT, reads_others=True)
+    sample = {"time_usec": 5_000_000, "zacc": -9.81, "fields_updated": 0x3F}
+    session.receive(Sender(1, 1).message("HIGHRES_IMU", **sample), 0)
+    other, size = Sender(1, 197), LAYOUTS[IDS[name]].size
+    for now_ns in range(3):
+        frame = other.frame(name, data.draw(st.binary(min_size=size, max_size=size)))
+        board = [one for found in session.steps_of_board(frame, now_ns) for one in found]
+        for one in [*session.receive(frame, now_ns), *board]:
+            t_ns, _, values = one.row()
+            assert abs(t_ns) < 2**63
+            assert not np.isinf(values).any()

@@ -235,6 +235,8 @@ class OpticalFlow(Reader):
         m = unpack(frame)
         if self._context.family is not Family.ARDUPILOT:
             return self._context.refuse("optical flow: OPTICAL_FLOW in pixels")
+        if m.time_usec >= 1 << 32:  # more ms than ArduPilot counts
+            return self._context.refuse("optical flow: no time")
         out, t_ns = self._context.follow_ms(m.time_usec, self.message)
         if t_ns is not None:
             flow = m.flow_rate_x, m.flow_rate_y
