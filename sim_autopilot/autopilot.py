@@ -33,6 +33,8 @@ SET_MESSAGE_INTERVAL = 511
 REQUEST_MESSAGE = 512
 SET_EKF_SOURCE_SET = 42007
 EXTERNAL_POSITION_ESTIMATE = 43003
+_TAKES_POSITIONS = 0x04050000
+"""ArduPilot from 4.5 on."""
 _GLOBAL_FRAMES = (0, 5)
 """MAV_FRAME_GLOBAL, MAV_FRAME_GLOBAL_INT."""
 _ARMED, _CUSTOM_MODE = 128, 1
@@ -252,6 +254,7 @@ class Autopilot:
     def _command_int(self, frame: Frame, command: Any, now_ns: int) -> None:
         is_known = command.command == EXTERNAL_POSITION_ESTIMATE
         is_known &= self.personality.kind is Kind.ARDUPILOT
+        is_known &= self.personality.version >= _TAKES_POSITIONS
         result = self._take_position(command) if is_known else UNSUPPORTED
         self._answer(frame, command.command, result)
 
@@ -263,6 +266,8 @@ class Autopilot:
         if self._last is None:
             return FAILED
         place = math.radians(lat), math.radians(lon)
+        if self.navigator is not None:
+            return ACCEPTED if self.navigator.take_position(*place, command.param3) else FAILED
         return ACCEPTED if self._sensors.take_position(*place, self._last) else FAILED
 
     def _position_sensor(self, frame: Frame, position: Any, now_ns: int) -> None:

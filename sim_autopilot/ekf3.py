@@ -4,7 +4,8 @@ One lane of it. With EK3_SRC_OPTIONS at its default, velocities of ODOMETRY are 
 is in use, if any set names them. A switch resets position, height and yaw to the new source.
 
 Sources: ``NavEKF3_core::setAidingMode``, ``SelectVelPosFusion``, ``selectHeightForFusion``,
-``calcFiltBaroOffset``, ``readGpsData``, ``setOrigin``, ``writeExtNavData``, ``getLLH``;
+``calcFiltBaroOffset``, ``readGpsData``, ``setOrigin``, ``setLatLng``, ``writeExtNavData``,
+``getLLH``;
 ``AP_VisualOdom_MAV``; ``GCS_MAVLINK::handle_odometry``, ``handle_command_set_ekf_source_set``; 4.7.
 The horizon, the noises and the gates are of ``AP_NavEKF3.cpp``.
 """
@@ -32,6 +33,8 @@ RECEIVER, EXTERNAL, BARO, COMPASS = 3, 6, 1, 1
 _ALL_VELOCITIES = 1
 """Of EK3_SRC_OPTIONS."""
 _NE, _D, _VNE, _VD = [6, 7], [8], [3, 4], [5]
+_DEAD_RECKONING = 1.0
+"""s without an accepted position until it is said to reckon (``deadReckonDeclare_ms``)."""
 _FRESH = 0.5
 """Age, s, beyond which an ODOMETRY is no longer a source of height."""
 _VELOCITY_RETRY, _STOP = 10.0, 15.0
@@ -103,6 +106,19 @@ class Ekf3(Navigator):
         self.origin = LocalFrame(kind=self.kind, lat=lat, lon=lon, alt=alt)
         self.is_origin_new = True
         self.send_text(INFO, "EKF3 IMU0 origin set")
+        return True
+
+    def take_position(self, lat: float, lon: float, std: float) -> bool:
+        """Move to a position from outside, while nothing has shown one for a second.
+
+        Without a sigma, or with a small one, the receiver's floor counts.
+        """
+        is_late = self._horizon_t - self._passed["position"] >= _DEAD_RECKONING
+        if not is_late or not self.is_aided or self.origin is None:
+            return False
+        variance = max(0.0 if math.isnan(std) else std, _GPS[2]) ** 2
+        self._set(_NE, self.origin.to_ned(lat, lon, self.origin.alt)[:2], variance)
+        self.events.append((self._horizon_t, "moved from outside"))
         return True
 
     # Its own sensors

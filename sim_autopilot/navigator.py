@@ -95,6 +95,10 @@ class Navigator(Follower):
         """Take a VISION_POSITION_ESTIMATE."""
         raise NotImplementedError
 
+    def take_position(self, lat: float, lon: float, std: float) -> bool:
+        """Move to a position from outside, rad, of one sigma, m; return whether it did."""
+        return False
+
     def select(self, number: int) -> bool:
         """Switch to a set of sources; return whether there is such a set."""
         return False

@@ -11,6 +11,7 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import SimConfig
+from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 from tests.engine.test_guard import IMU, KINDS, SECOND_NS, Link
 
@@ -195,3 +196,13 @@ def test_ardupilot_denies_what_is_no_place(outage, fields):
     link = Ardupilot().fly(outage[:20])
     link.autopilot.receive(Sender(1, 194).message("COMMAND_INT", **(place | fields)), 0)
     assert link.answers == [2]
+
+
+@pytest.mark.parametrize(("firmware", "answer"), [("ardupilot-4.0", 3), ("ardupilot-old", 4)])
+def test_an_ardupilot_before_4_5_does_not_know_it(outage, firmware, answer):
+    link = Ardupilot()
+    link.autopilot.personality = parse(firmware)
+    link.fly(outage[:20])
+    place = {"target_system": 1, "command": 43003, "x": 474_000_000, "y": 85_000_000}
+    link.autopilot.receive(Sender(1, 194).message("COMMAND_INT", **place), 0)
+    assert link.answers == [answer]

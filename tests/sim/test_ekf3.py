@@ -149,3 +149,23 @@ def test_in_the_air_the_origins_altitude_is_that_of_its_start():
     stand.has_fix, stand.height = True, ALT + 10.0
     stand.run(11.0)
     assert stand.own.origin.alt == pytest.approx(ALT, abs=1.0)
+
+
+def test_it_moves_to_a_position_from_outside_only_while_nothing_else_shows_one():
+    east = 20.0 / (6378100 * math.cos(LAT))
+    stand = Stand().run(5.0)
+    assert not stand.own.take_position(LAT, LON + east, 1.0)  # it has no origin
+    stand.run(8.0)
+    assert not stand.own.take_position(LAT, LON + east, 1.0)  # its receiver is good
+    stand.has_fix = False
+    stand.run(0.8)
+    assert not stand.own.take_position(LAT, LON + east, 1.0)
+    stand.run(0.7)
+    for std, sigma in ((1.0, 1.0), (0.1, 0.5), (math.nan, 0.5)):
+        assert stand.own.take_position(LAT, LON + east, std)
+        assert stand.own.pos_n[:2] == pytest.approx([0.0, 20.0], abs=0.1)
+        assert np.diag(stand.own.P)[6:8] == pytest.approx([sigma**2] * 2)
+    # Without any aid it stops, and takes none
+    stand.run(15.0)
+    assert not stand.own.is_aided
+    assert not stand.own.take_position(LAT, LON, 1.0)
