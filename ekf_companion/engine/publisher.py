@@ -226,7 +226,7 @@ class Publisher:
     def due(self, estimate: Estimate) -> list[Message]:
         """Return the messages that are due at the stamp of an estimate."""
         messages: list[Message] = []
-        t_ns, stream = estimate.t_ns, self.stream
+        t_ns, ours, stream = estimate.t_ns, self.label, self.stream
         if stream is not None and estimate.sample is not None:
             self._add(estimate.sample)
         if self._pause[0] <= t_ns < self._pause[1]:
@@ -244,8 +244,13 @@ class Publisher:
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
         if _OFFSET in others and stream is not None and stream.is_continuous:
             messages.append(Message(_OFFSET, encode.global_offset(t_ns, *stream.offset)))
-        if odometry is not None:
-            messages += self._pose(odometry)
+        if odometry is not None and ours.is_vision:
+            messages += self._vision(odometry)
+        elif odometry is not None:
+            payload = encode.odometry(
+                odometry, frame=ours.frame, velocity=ours.velocity, estimator=ours.estimator
+            )
+            messages.append(Message("ODOMETRY", payload, is_replaceable=True))
         if "ESTIMATOR_STATUS" in others and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
@@ -278,14 +283,8 @@ class Publisher:
             due[_OFFSET].request()
         return odometry
 
-    def _pose(self, odometry: Odometry) -> list[Message]:
-        """Return ODOMETRY, or what old firmware reads in its place: that states no quality."""
-        ours = self.label
-        if not ours.is_vision:
-            payload = encode.odometry(
-                odometry, frame=ours.frame, velocity=ours.velocity, estimator=ours.estimator
-            )
-            return [Message("ODOMETRY", payload, is_replaceable=True)]
+    def _vision(self, odometry: Odometry) -> list[Message]:
+        """Return what old firmware reads in place of ODOMETRY; it states no quality."""
         if odometry.quality < 0:
             return []
         payload = encode.vision_position_estimate(odometry)

@@ -84,15 +84,16 @@ def odometry(
     )
 
 
-KNOWS_ODOMETRY = {Family.PX4: (1, 9), Family.ARDUPILOT: (4, 1)}
-"""Firmware from which on ODOMETRY is read. Sources: PX4 #9301; ArduPilot, the release that also
-brought EK3_SRCn_*."""
+_WITHOUT_ODOMETRY = {Family.PX4: ((1, 0), (1, 9)), Family.ARDUPILOT: ((3, 0), (4, 1))}
+"""Firmware that reads no ODOMETRY, from one version until another; what is below numbers itself in
+a way of its own. Sources: PX4 #9301; ArduPilot, the release that also brought EK3_SRCn_*."""
 
 
 def knows_odometry(family: Family, version: str) -> bool:
     """Return whether a firmware reads ODOMETRY; ``version`` as in ``1.16.0``, empty: not known."""
     found = tuple(int(part) for part in version.split(".")[:2] if part.isdigit())
-    return len(found) < 2 or found >= KNOWS_ODOMETRY.get(family, (0, 0))
+    first, end = _WITHOUT_ODOMETRY.get(family, ((0, 0), (0, 0)))
+    return len(found) < 2 or not first <= found < end
 
 
 POSES = ("ODOMETRY", "VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE")

@@ -85,6 +85,11 @@ class Frame(NamedTuple):
         return self.version == 2 and bool(self.raw[2] & SIGNED)
 
 
+def id_of(raw: bytes) -> int:
+    """Return the message id of a whole frame."""
+    return raw[5] if raw[0] == STX_1 else int.from_bytes(raw[7:10], "little")
+
+
 def parsed(message_id: int, raw: bytes) -> Frame:
     """Return a whole frame with a right checksum by its parts."""
     if raw[0] == STX_2:

@@ -75,10 +75,10 @@ class Outbox:
         if self._is_recording:
             self.record(self._sender.frame(name, payload, is_draft=True), now_ns)
 
-    def record(self, raw: bytes, now_ns: int) -> None:
-        """Record what went in or out, if anybody wants a record."""
+    def record(self, raw: bytes, now_ns: int, link: int = 0) -> None:
+        """Record what went in or out by a link, if anybody wants a record."""
         if self._is_recording:
-            self._record.append((quantise(now_ns) // 1000, raw))
+            self._record.append((quantise(now_ns) // 1000 + link, raw))
 
     def take(self) -> list[Outgoing]:
         """Return the frames that wait to be sent, and forget them."""

@@ -30,7 +30,7 @@ from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import POSES, SystemStatus, knows_odometry
 from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.following import Following
-from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
+from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter, id_of
 from ekf_companion.mavlink.global_position import MESSAGES, GlobalPosition
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
@@ -46,7 +46,7 @@ from ekf_companion.mavlink.second_source import SecondSource
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
-from ekf_companion.mavlink.stamp import quantise
+from ekf_companion.mavlink.stamp import BOARD_LINK, quantise
 from ekf_companion.mavlink.statustext import StatusText
 from ekf_companion.nav.measurements import Measurement, Restart
 
@@ -245,7 +245,7 @@ class Session:
                 self.autopilot_sender = sender
                 yield self._receive_from_autopilot(frame, now_ns)
             else:
-                yield self._receive_from_other(frame, now_ns)
+                yield self._receive_from_other(frame)
 
     def steps_of_board(
         self, data: bytes, now_ns: int, sender: Hashable = None
@@ -253,19 +253,25 @@ class Session:
         """Process bytes that did not come by the autopilot's link, but from software of this board.
 
         What is no pose and no velocity, and what bears the autopilot's ids or ours, is counted and
-        left out, also of the record: a replay takes what is there for the link's.
+        left out, also of the record.
         """
         self.changes += 1
         for frame in self.board_splitter.feed(data, sender):
-            peer = self.peer
+            peer = self.peer if self.options.reads_others else None
             if peer is None or frame.message_id not in self.decoder.external.readers:
-                self.from_board["no pose or velocity" if peer else "no autopilot yet"] += 1
+                self.from_board[
+                    "no pose or velocity" if peer else "not used, or no autopilot yet"
+                ] += 1
             elif frame[1:3] in (peer, self.outbox.ids):
                 self.from_board["the autopilot's ids, or ours"] += 1
             else:
                 self.from_board["read"] += 1
-                self.outbox.record(frame.raw, now_ns)
-                yield self._receive_from_other(frame, now_ns)
+                self.outbox.record(frame.raw, now_ns, BOARD_LINK)
+                yield self.decoder.external.read(frame, peer[0], quantise(now_ns))
+
+    def is_of_board(self, stamp_us: int, raw: bytes) -> bool:
+        """Return whether a whole frame of a record is of what came to :meth:`steps_of_board`."""
+        return stamp_us & 3 == BOARD_LINK and id_of(raw) in self.decoder.external.readers
 
     def receive_frame(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Process a whole frame of a known message that anybody may send, as :meth:`steps` does.
@@ -277,7 +283,7 @@ class Session:
         self.splitter.pass_over(1)
         if self._is_of_autopilot(frame, now_ns):
             return self._receive_from_autopilot(frame, now_ns)
-        return self._receive_from_other(frame, now_ns)
+        return self._receive_from_other(frame)
 
     def pass_over(self, count: int, size: int, heard: int, echoes: int = 0) -> None:
         """Count frames, and their bytes, that were processed elsewhere (:mod:`.reader`).
@@ -330,12 +336,12 @@ class Session:
             return False
         return True
 
-    def _receive_from_other(self, frame: Frame, now_ns: int) -> list[Measurement]:
+    def _receive_from_other(self, frame: Frame) -> list[Measurement]:
         """Return what another component measured, which is neither the autopilot nor we."""
         peer, source = self.discovery.peer, frame[1:3]
         if not self.options.reads_others or peer is None or source in (peer, self.outbox.ids):
             return []
-        return self.decoder.external.read(frame, peer[0], quantise(now_ns))
+        return self.decoder.external.read(frame, peer[0])
 
     def _receive_from_autopilot(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Handle what only the autopilot may say; return what it measured."""
@@ -466,27 +472,26 @@ class Session:
             self.origin.note(payload)
         elif name in POSES:
             if name != POSES[-1]:
-                self._is_pose_sent = self._may_send_pose(now_ns)
+                if self.origin.is_settled:
+                    self.origin.sent_ns = now_ns
+                else:
+                    self.origin.on_odometry(now_ns)
+                self._is_pose_sent = self.may_stream and self.delivery.pacing.takes(now_ns)
             if not self._is_pose_sent:
                 self.outbox.withhold(name, payload, now_ns)
                 return
+            if name != POSES[0]:
+                self._note_old_ardupilot()
         elif name in MESSAGES and not self.global_position.may_send(now_ns):
             self.outbox.withhold(name, payload, now_ns)
             return
         self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
 
-    def _may_send_pose(self, now_ns: int) -> bool:
-        """Return whether an ODOMETRY, or what old firmware reads in its place, is sent now."""
-        if self.origin.is_settled:
-            self.origin.sent_ns = now_ns
-        else:
-            self.origin.on_odometry(now_ns)
-        is_sent = self.may_stream and self.delivery.pacing.takes(now_ns)
-        family, version = self.discovery.family, self.requests.version
-        if is_sent and family is Family.ARDUPILOT and not knows_odometry(family, version):
-            # By which parameters it fuses that, the guard does not read
+    def _note_old_ardupilot(self) -> None:
+        """Take what is sent for fused, where the guard does not read by which parameters it is."""
+        family = self.discovery.family
+        if family is Family.ARDUPILOT and not knows_odometry(family, self.requests.version):
             self.guard.note_taken(is_yaw=True)
-        return is_sent
 
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, one item each, and forget them."""

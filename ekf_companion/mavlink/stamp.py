@@ -6,6 +6,8 @@ import math
 from typing import TypeAlias
 
 SECOND_NS = 1_000_000_000
+BOARD_LINK = 3
+"""Number of the link in a .tlog, of four, by which software of this board is told apart."""
 Stamp: TypeAlias = int
 """Where it is compiled, still any number of Python's: a message may state what C could not hold."""
 

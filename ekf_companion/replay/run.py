@@ -131,7 +131,10 @@ class Run(Generic[P]):
         companion = self._open_companion()
         self._look_who_speaks(companion, log)
         for self._done, (stamp_us, frame) in enumerate(log.frames(), 1):
-            messages = companion.receive(frame, stamp_us * 1000)
+            if companion.session.is_of_board(stamp_us, frame):
+                messages = companion.receive_from_board(frame, stamp_us * 1000)
+            else:
+                messages = companion.receive(frame, stamp_us * 1000)
             self._follow(companion)
             yield stamp_us, frame, messages
         self._note_refused(companion)
@@ -161,11 +164,13 @@ class Run(Generic[P]):
 
     def _receive(self, companion: Companion, frames: Frames, i: int) -> None:
         """Let the companion receive a frame that its reader has left to it."""
-        now_ns = int(frames.stamp_us[i]) * 1000
-        if companion.reader.is_whole(i):
+        now_ns, raw = int(frames.stamp_us[i]) * 1000, frames.raw(i)
+        if companion.session.is_of_board(now_ns // 1000, raw):
+            companion.receive_from_board(raw, now_ns)
+        elif companion.reader.is_whole(i):
             companion.receive_frame(frames.frame(i), now_ns)
         else:
-            companion.receive(frames.raw(i), now_ns)
+            companion.receive(raw, now_ns)
 
     def _open_companion(self) -> Companion:
         from ekf_companion.engine.companion import Companion

@@ -10,6 +10,7 @@ from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorType, Frame, SystemStatus
 from ekf_companion.mavlink.messages import by_name
+from ekf_companion.nav import so3
 from ekf_companion.nav.state import Odometry, Status
 
 NUMBERS = [float(n) for n in range(55)]
@@ -157,3 +158,18 @@ def test_a_position_is_told_as_maps_of_ground_stations_read_it():
     # Beyond what the field holds, the largest; a heading from north, clockwise, 0.01 deg
     assert (m.vx, m.vy, m.vz) == (150, -225, 32767)
     assert m.hdg == 33135
+
+
+def test_what_old_firmware_reads_says_the_numbers_of_odometry():
+    q = so3.from_euler(0.1, -0.2, 0.7)
+    numbers = array("f", [1.0, 2.0, 3.0, *q, 4.0, 5.0, 6.0, *NUMBERS[10:]]).tobytes()
+    said = estimate(numbers=numbers, reset_count=255)
+    pose = read("VISION_POSITION_ESTIMATE", encode.vision_position_estimate(said))
+    assert (pose.usec, pose.x, pose.y, pose.z) == (123_456_789, 1.0, 2.0, 3.0)
+    assert [pose.roll, pose.pitch, pose.yaw] == pytest.approx([0.1, -0.2, 0.7], abs=1e-6)
+    assert pose.covariance == NUMBERS[13:34]
+    speed = read("VISION_SPEED_ESTIMATE", encode.vision_speed_estimate(said))
+    assert (speed.usec, speed.x, speed.y, speed.z) == (123_456_789, 4.0, 5.0, 6.0)
+    # The triangle of six rows begins at 34: its first three rows and columns, whole
+    assert speed.covariance == [34.0, 35.0, 36.0, 35.0, 40.0, 41.0, 36.0, 41.0, 45.0]
+    assert pose.reset_counter == speed.reset_counter == 1

@@ -1,7 +1,7 @@
 """Poses and velocities that other components send: visual odometry, motion capture.
 
 They are stamped by the autopilot's clock where the two are synchronised, by ours (unix time) where
-the sender is on this board, else by a clock of their own. How far ours is from the autopilot's its
+they come from this board, else by a clock of their own. How far ours is from the autopilot's its
 newest stamps show, at the arrival of each message. Of a clock of their own only the difference
 counts: the least lag that it ever showed is taken for none, and what is constant of it the
 estimator finds as a delay.
@@ -93,16 +93,19 @@ class _Clock:
         self._last = 0
         self._is_known = False
 
-    def to_ns(self, stamp_us: int, latest_us: int, now_us: int, ours_us: int) -> int:
-        """Return when it was true, given the autopilot's newest stamp, and our time and offset."""
+    def to_ns(self, stamp_us: int, latest_us: int, ours_us: int | None = None) -> int:
+        """Return when it was true, given the autopilot's newest stamp.
+
+        ``ours_us`` is when it was true if the stamp is by our clock; None: it is not.
+        """
         if stamp_us == 0:
             return latest_us * 1000  # it does not say
         lag = latest_us - stamp_us
         if abs(lag) <= _SAME_US and (self._offset is None or not self._is_known):
             self._is_known = True
             return stamp_us * 1000
-        if -_AHEAD_US <= now_us - stamp_us <= _SAME_US:
-            return (stamp_us + ours_us) * 1000  # it is on this board
+        if ours_us is not None:
+            return ours_us * 1000
         if self._offset is None or abs(lag - self._offset) > _SAME_US:
             self._offset = lag  # the first of it, or of a clock that has leapt
         else:
@@ -141,13 +144,13 @@ class External:
         self._sources = {kind: Preference() for kind in (Kind.POSE, Kind.VELOCITY)}
         self.used.clear()
 
-    def read(self, frame: Frame, system_id: int, now_ns: int) -> Measurements:
+    def read(self, frame: Frame, system_id: int, now_ns: int | None = None) -> Measurements:
         """Return what a frame of another component measures.
 
         Args:
             frame: Of any message.
             system_id: The autopilot's.
-            now_ns: When it arrived, as a .tlog holds it.
+            now_ns: When it arrived from this board, as a .tlog holds it; None: from elsewhere.
         """
         reader = self.readers.get(frame.message_id)
         if reader is None:
@@ -164,10 +167,13 @@ class External:
             self._senders.append(source)
         message = unpack(frame)
         stamp_us = message.time_usec if hasattr(message, "time_usec") else message.usec
-        now_us = now_ns // 1000
-        ours_us = self._ours.offset(now_us, latest_us)
+        ours_us = None
+        if now_ns is not None:
+            offset = self._ours.offset(now_ns // 1000, latest_us)
+            if -_AHEAD_US <= now_ns // 1000 - stamp_us <= _SAME_US:
+                ours_us = stamp_us + offset
         clock = self._clocks.setdefault(source[:2], _Clock())
-        t_ns = clock.to_ns(stamp_us, latest_us, now_us, ours_us)
+        t_ns = clock.to_ns(stamp_us, latest_us, ours_us)
         found = reader(message, t_ns)
         rank = self._senders.index(source)
         return [one for one in found if self._admit(one, rank, source)]
