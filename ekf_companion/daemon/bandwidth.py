@@ -23,6 +23,7 @@ _KEYS = {
     "ATTITUDE": "link.heading_rate",
     "SCALED_PRESSURE": "link.baro_rate",
     "ODOMETRY": "output.odometry.rate",
+    "GLOBAL_POSITION_SENSOR": "output.global_position.rate",
 }
 """The key that sets the rate of each stream."""
 _OURS = {"ESTIMATOR_STATUS": 1.0, "GPS_GLOBAL_ORIGIN": 1.0, "HEARTBEAT": 1.0, "TIMESYNC": 1.0}
@@ -44,6 +45,8 @@ def overloads(config: Config) -> list[str]:
     ours = dict(_OURS)
     if config.output.odometry.mode != "never":
         ours["ODOMETRY"] = min(config.output.odometry.rate, _FEWEST)
+    if config.output.global_position.rate > 0.0:
+        ours["GLOBAL_POSITION_SENSOR"] = config.output.global_position.rate
     asked = session_options(config, is_recording=False).rates
     # What few vehicles have is not held against the line
     theirs = _THEIRS | {name: rate for name, rate in asked.items() if name not in aids.RATES}

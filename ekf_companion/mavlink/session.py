@@ -131,7 +131,7 @@ class Session:
         self.believed = 0
         """Frames of others, signed where that is asked: who sent one may be answered."""
         self.ignored: Counter[str] = Counter()
-        """Frames that are not the autopilot's, by whose they are."""
+        """Frames that are not the autopilot's, by whose they are, or why they are left out."""
         self.misaddressed: Counter[int] = Counter()
         """Messages of a kind that we answer, addressed to another, by message id."""
         self.on_frame: Callable[[Frame], None] | None = None
@@ -196,8 +196,6 @@ class Session:
         self.all_routes, self.peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self.splitter, self.board_splitter = Splitter(), Splitter()
         """Of what comes by the link, and of what software of this board sends beside it."""
-        self.from_board: Counter[str] = Counter()
-        """Frames of the second, by what was made of them."""
         self.autopilot_sender: Hashable = None
         """Who sent the last frame of the autopilot."""
         self._is_pose_sent = False
@@ -258,14 +256,13 @@ class Session:
         self.changes += 1
         for frame in self.board_splitter.feed(data, sender):
             peer = self.peer if self.options.reads_others else None
-            if peer is None or frame.message_id not in self.decoder.external.readers:
-                self.from_board[
-                    "no pose or velocity" if peer else "not used, or no autopilot yet"
-                ] += 1
+            if peer is None:
+                self.ignored["aid port: not used, or no autopilot yet"] += 1
+            elif frame.message_id not in self.decoder.external.readers:
+                self.ignored["aid port: no pose or velocity"] += 1
             elif frame[1:3] in (peer, self.outbox.ids):
-                self.from_board["the autopilot's ids, or ours"] += 1
+                self.ignored["aid port: the autopilot's ids, or ours"] += 1
             else:
-                self.from_board["read"] += 1
                 self.outbox.record(frame.raw, now_ns, BOARD_LINK)
                 yield self.decoder.external.read(frame, peer[0], quantise(now_ns))
 
@@ -550,7 +547,6 @@ class Session:
             "signed": self.admission.signed,
             **{f"not admitted: {why}": count for why, count in self.admission.refused.items()},
             **{f"ignored: {whose}": count for whose, count in self.ignored.items()},
-            **{f"aid port: {what}": count for what, count in self.from_board.items()},
             **{f"refused: {why}": count for why, count in self.refused.items()},
         }
 

@@ -37,6 +37,13 @@ def test_each_direction_is_judged_by_itself():
     assert found("serial:/dev/ttyS1:38400", **slow, output={"odometry": {"mode": "never"}}) == []
 
 
+def test_a_global_position_is_counted_too():
+    slow = {"link": {"imu_rate": 8.0, "gnss_rate": 2.0, "heading_rate": 2.0, "baro_rate": 2.0}}
+    output = {"odometry": {"rate": 5.0}, "global_position": {"rate": 50.0}}
+    (ours,) = found("serial:/dev/ttyS1:38400", **slow, output=output)
+    assert "lower output.global_position.rate or output.odometry.rate" in ours
+
+
 @pytest.mark.parametrize(
     ("url", "carries"),
     [

@@ -344,10 +344,9 @@ def test_at_the_second_port_poses_and_velocities_are_read_and_recorded_and_nothi
         assert not beside(link, "VISION_POSITION_ESTIMATE", voice=voice)
     steps = link.session.steps_of_board(VISION.heartbeat() + b"noise" * 3, link.now_ns)
     assert [one for found in steps for one in found] == []
-    counters = link.session.counters()
-    assert counters["aid port: read"] == 2
-    assert counters["aid port: the autopilot's ids, or ours"] == 2
-    assert counters["aid port: no pose or velocity"] >= 1
+    ignored = link.session.ignored
+    assert ignored["aid port: the autopilot's ids, or ours"] == 2
+    assert ignored["aid port: no pose or velocity"] >= 1
     # As of a link of its own, so that a replay takes it for what it was
     assert [stamp & 3 for stamp, _ in link.session.outbox.take_record()] == [3, 3]
     # It is no second source: the autopilot does not hear it
@@ -362,4 +361,4 @@ def test_before_there_is_an_autopilot_the_second_port_reads_nothing():
     session = Session(SessionOptions(rates={}, reads_others=True))
     said = VISION.say("VISION_POSITION_ESTIMATE", usec=5)
     assert list(session.steps_of_board(said, 0)) == []
-    assert session.counters()["aid port: not used, or no autopilot yet"] == 1
+    assert session.ignored["aid port: not used, or no autopilot yet"] == 1
