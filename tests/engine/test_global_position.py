@@ -206,3 +206,62 @@ def test_an_ardupilot_before_4_5_does_not_know_it(outage, firmware, answer):
     place = {"target_system": 1, "command": 43003, "x": 474_000_000, "y": 85_000_000}
     link.autopilot.receive(Sender(1, 194).message("COMMAND_INT", **place), 0)
     assert link.answers == [answer]
+
+
+# The same GNSS by other ways
+
+
+def test_after_a_reboot_it_waits_for_new_answers(cycles):
+    link = Given(Kind.PX4, ALONE)
+    begin = cycles[0].t_ns
+
+    def reboot():
+        link.autopilot.reboot()
+        link.is_deaf_to = set(FREE)
+
+    link.fly(cycles, {4.0: reboot})
+    times = [(t - begin) * 1e-9 for t in link.times("GLOBAL_POSITION_SENSOR")]
+    assert times
+    # The clock of this autopilot goes on, so that nobody may notice; its answers age all the same
+    assert max(times) < 4.0 + 5.5
+    assert "GLOBAL_POSITION_SENSOR" in link.companion.session.outbox.sent
+
+
+@pytest.mark.parametrize("mode", ["always", "auto"])
+def test_where_odometry_is_fused_it_is_not_sent_whatever_the_mode(cycles, mode):
+    link = Given(Kind.PX4, ALONE | {"EKF2_EV_CTRL": 15}, mode=mode).fly(cycles)
+    assert not link.given("GLOBAL_POSITION_SENSOR")
+
+
+def test_without_odometry_it_is_sent_all_the_same(cycles):
+    link = Given(Kind.PX4, ALONE | {"EKF2_EV_CTRL": 15}, mode="never").fly(cycles)
+    assert link.given("GLOBAL_POSITION_SENSOR")
+    assert not link.given("ODOMETRY")
+
+
+@pytest.mark.parametrize("slot", [1, 2, 3])
+def test_any_slot_counts(cycles, slot):
+    parameters = FREE | {f"EKF2_AGP{slot}_ID": 194, f"EKF2_AGP{slot}_CTRL": 1}
+    beside = Given(Kind.PX4, parameters | {"EKF2_GPS_CTRL": 2}).fly(cycles)
+    assert not beside.given("GLOBAL_POSITION_SENSOR")
+    alone = Given(Kind.PX4, parameters | {"EKF2_GPS_CTRL": 0}).fly(cycles)
+    assert alone.autopilot.reception.positions == {
+        "fused": len(alone.given("GLOBAL_POSITION_SENSOR"))
+    }
+
+
+def test_a_set_that_ardupilot_could_switch_to_counts(cycles):
+    parts = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+    sets = {"VISO_TYPE": 1, "EK3_SRC_OPTIONS": 0} | {f"EK3_SRC2_{part}": 6 for part in parts}
+    link = Given(Kind.ARDUPILOT, sets).fly(cycles)
+    assert not link.given("COMMAND_INT")
+
+
+def test_what_a_reload_switches_off_ends(cycles):
+    link = Given(Kind.PX4, ALONE)
+    off = with_value(link.companion.tuning.config, "output.global_position.rate", 0.0)
+    begin = cycles[0].t_ns
+    link.fly(cycles, {5.0: lambda: link.companion.reload(off)})
+    times = [(t - begin) * 1e-9 for t in link.times("GLOBAL_POSITION_SENSOR")]
+    assert times
+    assert max(times) < 5.1

@@ -362,3 +362,22 @@ def test_before_there_is_an_autopilot_the_second_port_reads_nothing():
     said = VISION.say("VISION_POSITION_ESTIMATE", usec=5)
     assert list(session.steps_of_board(said, 0)) == []
     assert session.ignored["aid port: not used, or no autopilot yet"] == 1
+
+
+@pytest.mark.parametrize(
+    ("voice", "fields"),
+    [
+        (Voice(1, 1), {"estimator_type": 8}),  # the autopilot's own, by a router
+        (Voice(1, 194), {"estimator_type": 3}),  # ours to PX4, that comes back
+        (Voice(100, 194), {"estimator_type": 5}),  # ours to a monitor under another system id
+        (Voice(100, 194), {"estimator_type": 3}),
+        (Voice(2, 197), {"estimator_type": 3}),  # of another vehicle
+        (Voice(1, 195), {"estimator_type": 5}),  # another companion's, honest
+        (Voice(240, 197), {"estimator_type": 4}),
+        (VISION, {"estimator_type": 3, "quality": -1}),
+    ],
+)
+def test_no_estimate_with_gnss_in_it_comes_back_by_the_second_port(voice, fields):
+    link = Link()
+    said = voice.say("ODOMETRY", **(ODOMETRY | fields | {"time_usec": link.now_ns // 1000}))
+    assert [one for found in link.session.steps_of_board(said, link.now_ns) for one in found] == []
