@@ -34,7 +34,8 @@ from ekf_companion.status.snapshot import LinkState, MessageState
 
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
 _IN_PROGRESS = 5
-_ODOMETRY, _COMMAND_LONG = IDS["ODOMETRY"], IDS["COMMAND_LONG"]
+_ODOMETRY, _VISION = (IDS[name] for name in encode.POSES[:2])
+_COMMAND_LONG = IDS["COMMAND_LONG"]
 _PARAM_REQUEST_READ, _TIMESYNC = IDS["PARAM_REQUEST_READ"], IDS["TIMESYNC"]
 _LIMITED = ("HIGHRES_IMU", "RAW_IMU")
 _STAMPS = {
@@ -164,8 +165,9 @@ class EvidenceCollector:
 
     def _count_ours(self, frame: Frame, now_ns: int) -> None:
         """Count a frame of ours: live as it is sent, in a recording as it stands there."""
-        if frame.message_id == _ODOMETRY:
+        if frame.message_id in (_ODOMETRY, _VISION):
             self._odometry.add(now_ns)
+        if frame.message_id == _ODOMETRY:
             odometry = unpack(frame)
             if len(self._odometry_frames) < _FRAMES:
                 self._odometry_frames.add((odometry.frame_id, odometry.child_frame_id))

@@ -42,7 +42,10 @@ def sent(evidence: Evidence) -> StageResult:
         return unknown(Stage.SENT, "no ODOMETRY of ours is in the recording")
     if output.mode == "never":
         return judged(Stage.SENT, "nothing, for output.odometry.mode is never")
-    saw = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}" if ours.count else "no ODOMETRY"
+    what = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}"
+    if not ours.frames:
+        what = f"VISION_POSITION_ESTIMATE {ours.rate:.0f} Hz"  # in its place, to old firmware
+    saw = what if ours.count else "no ODOMETRY"
     if not math.isnan(output.late_s):
         saw += f", {output.late_s * 1e3:.0f} ms late at the autopilot"
     if output.withheld and not ours.count:

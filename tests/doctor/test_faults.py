@@ -657,3 +657,11 @@ def test_a_refusal_spoken_aloud_is_heard():
     found = stage(evidence, "fused")
     assert found.outcome is Outcome.FAILED
     assert "output.odometry.estimator_type = auto" in words(found)
+
+
+def test_what_old_firmware_is_sent_counts_as_odometry_does():
+    config = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
+    found = examine(personality="ardupilot-4.0", config=config, seconds=12.0)
+    sent = stage(found, "sent")
+    assert sent.saw.startswith("VISION_POSITION_ESTIMATE ")
+    assert not [one for one in sent.problems if "goes out" in one.cause]
