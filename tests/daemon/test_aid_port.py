@@ -54,9 +54,9 @@ def resting(url):
         thread.join()
 
 
-def aid_of(port):
+def aid_of(port, name="visual_odometry"):
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/status", timeout=LIMIT) as answer:
-        return json.load(answer)["vehicle"]["aids"].get("visual_odometry", {})
+        return json.load(answer)["vehicle"]["aids"].get(name, {})
 
 
 def places():
@@ -107,6 +107,35 @@ def test_a_pose_is_used_recorded_and_replayed(tmp_path, way):
     poses = [f for f in record.frames if f[1:3] == (system, 197)]
     assert len(poses) >= 10
     assert_same_as_its_messages(record)
+
+
+def test_what_is_travelled_is_used_and_replayed(tmp_path):
+    port, aid, http = free_port(), free_port(), free_port(socket.SOCK_STREAM)
+    config = f"link: {{aid_url: 'udpin:127.0.0.1:{aid}'}}\nhttp: {{port: {http}}}\n"
+    config += "visual_velocity: {use: true}\n"
+    options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(tmp_path / "flight.tlog"))
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with Daemon(tmp_path, *options, config=config) as daemon, contextlib.closing(out):
+        daemon.wait_for(f"udpin:127.0.0.1:{aid}: open")
+        with resting(f"udpout:127.0.0.1:{port}"):
+            camera, rng = Sender(240, 197), np.random.default_rng(1)
+
+            def is_used():
+                way = {"time_delta_usec": 50_000, "confidence": 80.0}
+                way["position_delta"] = (0.001 * rng.standard_normal(3)).tolist()
+                stamp = time.time_ns() // 1000 - 20_000
+                said = camera.message("VISION_POSITION_DELTA", time_usec=stamp, **way)
+                out.sendto(said, ("127.0.0.1", aid))
+                time.sleep(0.05)
+                one = aid_of(http, "visual_velocity")
+                return one if one.get("state") == "used" else {}
+
+            one = wait_until(is_used)
+            for _ in range(40):
+                is_used()
+        assert daemon.stop() == 0
+    assert one["source"].startswith("240/197 VISION_POSITION_DELTA")
+    assert_same_as_its_messages(Record(tmp_path / "flight.tlog", daemon.config))
 
 
 def test_where_nothing_of_it_is_used_a_sentence_says_so(tmp_path):
