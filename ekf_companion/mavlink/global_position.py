@@ -103,18 +103,15 @@ class GlobalPosition(Service):
             return "the autopilot fuses our ODOMETRY, which is the same position", ""
         if family is not Family.PX4:
             return "", ""
-        slots = [name for name in _SLOTS if self._value(name, now_ns)]
-        if all(self._value(name, now_ns) is None for name in _SLOTS):
-            return f"{_SLOTS[0]} is not answered: this firmware fuses none", ""
-        gnss = self._value(_GNSS, now_ns)
-        if not slots:
-            return "", ""  # fused by nobody
-        if not guard.options.independent and gnss is None:
-            return f"{_GNSS} is not answered", ""
-        if not guard.options.independent and gnss:
+        values = {name: self._value(name, now_ns) for name in (*_SLOTS, _GNSS)}
+        if (unread := next((one for one in values if values[one] is None), None)) is not None:
+            return f"{unread} is not answered: this firmware may fuse none", ""
+        slots = [name for name in _SLOTS if values[name]]
+        if slots and values[_GNSS] and not guard.options.independent:
             reason = f"{slots[0]} and {_GNSS} are not 0: the GNSS that is in it would count twice"
             return reason, f"set {_GNSS} 0"
-        guard.note_taken()
+        if slots:
+            guard.note_taken()
         return "", ""
 
     def _value(self, name: str, now_ns: int) -> float | None:

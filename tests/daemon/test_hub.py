@@ -12,7 +12,7 @@ from sim_autopilot.config import SimConfig
 from sim_autopilot.faults import fault
 from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
-from tests.daemon.test_daemon import SPEED, SYSTEM, US, Daemon, Record, Wire, free_port
+from tests.daemon.test_daemon import SPEED, SYSTEM, US, Daemon, Record, Until, Wire, free_port
 from tests.daemon.waiting import LIMIT
 
 
@@ -29,8 +29,8 @@ class Flown:
         return [unpack(f) for f in self.wire.frames() if f.message_id == IDS[name]]
 
 
-def fly(folder, kind, config, faults=(), duration=12.0, **parameters):
-    """Fly with a real daemon."""
+def fly(folder, kind, config, faults=(), duration=12.0, is_enough=None, **parameters):
+    """Fly with a real daemon, until it is enough of what was heard, if that is given."""
     port = free_port()
     options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
     plan = SimConfig(system_id=SYSTEM, parameters=parameters)
@@ -38,7 +38,8 @@ def fly(folder, kind, config, faults=(), duration=12.0, **parameters):
 
     async def body(link):
         wire = Wire(link, None)
-        await live.fly(flight, wire, personality=kind, faults=faults, speed=SPEED, wait=LIMIT)
+        flown = flight if is_enough is None else Until(flight, wire, 8.0, is_enough)
+        await live.fly(flown, wire, personality=kind, faults=faults, speed=SPEED, wait=LIMIT)
         return wire
 
     with Daemon(folder, *options, config=f"{config}\nhttp: {{port: 0}}\n") as daemon:
@@ -58,11 +59,11 @@ def assert_a_replay_sends_the_same(record, *names):
 
 NAMES = {Kind.PX4: "GLOBAL_POSITION_SENSOR", Kind.ARDUPILOT: "COMMAND_INT"}
 GIVEN = "output: {global_position: {rate: 5}}"
-SLOT = {"EKF2_AGP0_ID": 194, "EKF2_AGP0_CTRL": 1, "EKF2_GPS_CTRL": 0}
+SLOT = {f"EKF2_AGP{k}_CTRL": 0 for k in range(4)} | {"EKF2_AGP0_ID": 194, "EKF2_AGP0_CTRL": 1}
 
 
 def test_px4_without_gnss_is_given_our_global_position(tmp_path):
-    flown = fly(tmp_path, Kind.PX4, GIVEN, **SLOT)
+    flown = fly(tmp_path, Kind.PX4, GIVEN, **SLOT, EKF2_GPS_CTRL=0)
     given = flown.of("GLOBAL_POSITION_SENSOR")
     assert len(given) > 20
     assert {(m.target_system, m.id, m.source) for m in given} == {(SYSTEM, US, 6)}
@@ -71,7 +72,7 @@ def test_px4_without_gnss_is_given_our_global_position(tmp_path):
 
 @pytest.mark.parametrize("kind", list(Kind))
 def test_beside_its_own_gnss_no_autopilot_takes_it(tmp_path, kind):
-    flown = fly(tmp_path, kind, GIVEN, EKF2_AGP0_ID=194, EKF2_AGP0_CTRL=1)
+    flown = fly(tmp_path, kind, GIVEN, **SLOT)
     assert not flown.of("GLOBAL_POSITION_SENSOR")
     if kind is Kind.PX4:
         assert "set EKF2_GPS_CTRL 0" in flown.words
@@ -92,7 +93,9 @@ def test_beside_its_own_gnss_no_autopilot_takes_it(tmp_path, kind):
 )
 def test_firmware_that_knows_no_odometry_is_sent_what_it_knows(tmp_path, firmware, names):
     always = "output: {odometry: {mode: always, age_limit: 10}}"
-    flown = fly(tmp_path, parse(firmware), always)
+    pose = IDS["VISION_POSITION_ESTIMATE"]
+    options = {"duration": 600.0, "is_enough": lambda wire: wire.count[pose] > 120}
+    flown = fly(tmp_path, parse(firmware), always, **options)
     for name in ("VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE"):
         assert (len(flown.of(name)) > 100) is (name in names)
     # ODOMETRY until its version is known

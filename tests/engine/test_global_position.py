@@ -90,7 +90,7 @@ def test_beside_its_own_gnss_or_our_odometry_px4_is_given_none(cycles, parameter
     assert len(link.recorded("GLOBAL_POSITION_SENSOR")) > 20
 
 
-@pytest.mark.parametrize("names", [["EKF2_GPS_CTRL"], list(FREE)])
+@pytest.mark.parametrize("names", [["EKF2_GPS_CTRL"], ["EKF2_AGP2_CTRL"], list(FREE)])
 def test_what_px4_does_not_answer_is_no_permission(cycles, names):
     link = Given(Kind.PX4, ALONE)
     link.is_deaf_to = set(names)
