@@ -114,9 +114,10 @@ accuracy: $(STAMP)
 # Who runs the flights of campaigns: ENGINE=dask, a Dask cluster here, or ENGINE=tcp://HOST:8786
 export ENGINE
 
-# Flights with faults from an independent generator: SEEDS of each case, 20 take a quarter of an hour
+# Flights with faults from an independent generator: SEEDS of each case, 20 take half an hour;
+# ALL=1 adds the faults of sources while there is no receiver
 truth: $(STAMP)
-	$(BIN)/python -m benchmarks.truth $(if $(SEEDS),--seeds $(SEEDS))
+	$(BIN)/python -m benchmarks.truth $(if $(SEEDS),--seeds $(SEEDS)) $(if $(ALL),--all)
 
 # `fleet tune` on 40 flights of one vehicle whose noise, delay and lever arm are known; ten minutes
 tune: $(STAMP)

@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.document import table, write
-from benchmarks.truth.cases import CASES
+from benchmarks.truth.cases import CASES, USUAL
+from benchmarks.truth.cases.sources import KINDS
 from benchmarks.truth.run import Job, Outcome, run_all
 
-MARK = "independent truth"
+MARKS = {"independent truth": False, "independent sources": True}
+"""Of the tables, and whether they are of sources beside the usual sensors."""
 HEAD = (
     "case | horizontal, m | vertical, m | velocity, m/s | tilt, deg | yaw, deg"
     " | largest error / sigma | NEES position | velocity | resets | ok | flights that lie | lies, s"
@@ -76,13 +78,19 @@ def rows(outcomes: Iterable[Outcome], asked: argparse.Namespace) -> Iterator[str
         yield f"{name} | {row(new)} | {lies(new)}{before}"
 
 
+def is_of_source(line: str) -> bool:
+    """Return whether a row is of a source beside the usual sensors."""
+    return line.removeprefix("| ").split(" ")[0].split("-")[0] in KINDS
+
+
 def options() -> argparse.Namespace:
     """Return what is asked for on the command line."""
     parser = argparse.ArgumentParser(prog="benchmarks.truth", description=__doc__)
     add = parser.add_argument
     add("--seeds", type=int, default=20, help="flights of each case")
     add("--first", type=int, default=0, metavar="SEED", help="the first one's seed")
-    add("--only", nargs="+", metavar="NAME", choices=CASES, default=list(CASES))
+    add("--only", nargs="+", metavar="NAME", choices=CASES, default=USUAL)
+    add("--all", action="store_const", dest="only", const=list(CASES), help="outages, too")
     add("--list", action="store_true", help="print the cases and end")
     add("--each", action="store_true", help="a row for each flight, too")
     add("--jobs", type=int, default=2, help="processes")
@@ -90,7 +98,8 @@ def options() -> argparse.Namespace:
     add("--before", type=Path, metavar="EKF", help="another build to compare the lies with")
     add("--logs", type=Path, help="folder that keeps the logs and their truth for the next run")
     add("--keep", type=Path, help="folder that keeps the estimates")
-    add("--write", type=Path, metavar="FILE", help=f"a document with the mark <!-- {MARK} -->")
+    marks = " and ".join(f"<!-- {mark} -->" for mark in MARKS)
+    add("--write", type=Path, metavar="FILE", help=f"a document with the marks {marks}")
     return parser.parse_args()
 
 
@@ -120,7 +129,11 @@ def main() -> int:
         print(line, flush=True)
         lines.append(line)
     if asked.write is not None:
-        write(asked.write, MARK, "\n".join(lines))
+        head, rule, *found_rows = lines
+        for mark, is_of_sources in MARKS.items():
+            kept = [one for one in found_rows if is_of_source(one) == is_of_sources]
+            if kept:
+                write(asked.write, mark, "\n".join([head, rule, *kept]))
     return 0 if all(one.is_honest for one in found if one.job.ekf == asked.ekf) else 1
 
 

@@ -20,12 +20,12 @@ GNSS = (
 )
 MAG = "mag_x_gauss,mag_y_gauss,mag_z_gauss"
 BARO = "baro_alt_m"
-HEADER = f"time_us,{INERTIAL},{GNSS},{MAG},{BARO}\n"
+COLUMNS = ("time_us", INERTIAL, GNSS, MAG, BARO)
 ROWS = (
-    "%d,%.6f,%.6f,%.6f,%.5f,%.5f,%.5f" + "," * 13 + "\n",
-    "%d" + "," * 7 + "%.9f,%.9f,%.3f,%.4f,%.4f,%.4f,%.3f,%.3f,%.3f" + "," * 4 + "\n",
-    "%d" + "," * 16 + "%.5f,%.5f,%.5f,\n",
-    "%d" + "," * 19 + "%.3f\n",
+    "%d,%.6f,%.6f,%.6f,%.5f,%.5f,%.5f" + "," * 13,
+    "%d" + "," * 7 + "%.9f,%.9f,%.3f,%.4f,%.4f,%.4f,%.3f,%.3f,%.3f" + "," * 4,
+    "%d" + "," * 16 + "%.5f,%.5f,%.5f,",
+    "%d" + "," * 19 + "%.3f",
 )
 
 
@@ -48,14 +48,20 @@ def write_log(path: Path, readings: Readings) -> None:
         (readings.mag_t, readings.mag_t, readings.mag),
         (readings.baro_t, readings.baro_t, readings.baro[:, None]),
     ]
+    names, forms = ",".join(COLUMNS).split(","), list(ROWS)
+    for source in readings.sources:
+        tables.append((source.t, source.stamp, source.values))
+        forms.append("%d" + "," * (len(names) - 1) + ",%.6f" * len(source.columns))
+        names += source.columns
     lines: list[str] = []
     moment, step = readings.set_back
-    for form, (_, stamp, values) in zip(ROWS, tables, strict=True):
+    for form, (_, stamp, values) in zip(forms, tables, strict=True):
         rows = np.hstack([to_us(stamp - step * (stamp > moment))[:, None], values])
-        lines += [form % tuple(row) for row in rows.tolist()]
+        line = form + "," * (len(names) - 1 - form.count(",")) + "\n"
+        lines += [line % tuple(row) for row in rows.tolist()]
     order = np.argsort(np.concatenate([table[0] for table in tables]).round(6), kind="stable")
     with path.open("w", encoding="utf-8") as file:
-        file.write(HEADER)
+        file.write(",".join(names) + "\n")
         file.writelines(lines[i] for i in order)
 
 

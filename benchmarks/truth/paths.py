@@ -23,13 +23,18 @@ def swing(
     return lambda t: middle + by * ramp(t, begin, 8.0) * np.sin(TURN * t / period + phase)
 
 
-def figure_eights(draw: Draw, period: float = 22.0, begin: float = 6.0) -> Motion:
-    """Return a multirotor's figure-eights of 70 m by 36 m with climbs; at rest until they begin."""
+def figure_eights(
+    draw: Draw, period: float = 22.0, begin: float = 6.0, *, least: float = 0.0, most: float = 40.0
+) -> Motion:
+    """Return a multirotor's figure-eights of 70 m by 36 m with climbs; at rest until they begin.
+
+    ``least`` and ``most`` are how high it flies, m.
+    """
     way, phase = draw.angle(), draw.rng.uniform(0.0, TURN) if begin < 0.0 else 0.0
 
     def pos_t(t: Array) -> Array:
         angle = TURN / period * ramped(t, begin, 4.0) + phase
-        climb = -20.0 * (1.0 - np.cos(angle / 3.0))
+        climb = -0.5 * (most - least) * (1.0 - np.cos(angle / 3.0)) - least * ramp(t, begin, 6.0)
         return turned(way, 35.0 * np.sin(angle), 18.0 * np.sin(2.0 * angle), climb)
 
     return Motion(pos_t, multirotor(swing(draw, begin)))
@@ -110,7 +115,9 @@ def straight_then_turns(draw: Draw, turns_at: float, speed: float = 20.0) -> Mot
     return Motion(along(draw, turn, still(speed)), aeroplane(np.zeros(3)))
 
 
-def circuits(draw: Draw, gust: float = 0.2, speed: float = 25.0) -> Motion:
+def circuits(
+    draw: Draw, gust: float = 0.2, speed: float = 25.0, wind_t: Array | None = None
+) -> Motion:
     """Return an aeroplane's circuits: legs of 10 s, turns of 1.34 g, gusts along all axes."""
     rate = 9.81 / speed * np.tan(42.0 * DEG)
     leg = draw.about(10.0, 0.2)
@@ -125,7 +132,7 @@ def circuits(draw: Draw, gust: float = 0.2, speed: float = 25.0) -> Motion:
     smooth = along(draw, turn, still(speed), lambda t: -10.0 * (1.0 - np.cos(TURN * t / 40.0)))
     return Motion(
         lambda t: smooth(t) + np.stack([p(t) for p in push], axis=1),
-        aeroplane(draw.about(3.0) * draw.level()),
+        aeroplane(draw.about(3.0) * draw.level() if wind_t is None else wind_t),
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +14,12 @@ from benchmarks.engine import in_order
 from benchmarks.truth import log
 from benchmarks.truth.cases import generate
 from benchmarks.truth.judge import Verdict, judge, read_estimate
-from ekf_companion.config.config import Config
+from ekf_companion.config.config import load_config
 from ekf_companion.errors import CompanionError
 from ekf_companion.review import convert
+
+SUFFIXES = (".csv", ".npz", ".yaml")
+"""Of a flight's log, its truth, and the settings of its sources (JSON, which is YAML too)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +59,14 @@ class Outcome:
 def run(job: Job) -> Outcome:
     """Generate, convert and judge one flight."""
     with tempfile.TemporaryDirectory() as folder:
-        path, truth_path = (
-            (job.logs or Path(folder)) / f"{job.name}{suffix}" for suffix in (".csv", ".npz")
-        )
-        if not (path.exists() and truth_path.exists()):
-            _write(job, path, truth_path)
+        paths = path, truth_path, settings = [
+            (job.logs or Path(folder)) / f"{job.name}{suffix}" for suffix in SUFFIXES
+        ]
+        if not all(one.exists() for one in paths):
+            _write(job, paths)
         estimate = (job.keep or Path(folder)) / f"{job.name}.est.csv"
         try:
-            _convert(path, estimate, job.ekf)
+            _convert(path, settings, estimate, job.ekf)
         except (CompanionError, subprocess.SubprocessError) as error:
             return Outcome(job, None, " ".join(str(error).split())[-200:])
         truth = log.read_truth(truth_path)
@@ -74,21 +78,22 @@ def run_all(jobs: Iterable[Job], processes: int) -> Iterator[Outcome]:
     yield from in_order(run, jobs, processes)
 
 
-def _write(job: Job, path: Path, truth_path: Path) -> None:
-    """Write a log and its truth, each complete at once: another process may look for them."""
+def _write(job: Job, paths: Sequence[Path]) -> None:
+    """Write log, truth and settings, each complete at once: another process may look for them."""
     readings = generate(job.case, job.seed)
-    part, truth_part = (x.with_name(f"{os.getpid()}-{x.name}") for x in (path, truth_path))
-    log.write_log(part, readings)
-    log.write_truth(truth_part, log.truth_of(readings))
-    part.replace(path)
-    truth_part.replace(truth_path)
+    parts = [path.with_name(f"{os.getpid()}-{path.name}") for path in paths]
+    log.write_log(parts[0], readings)
+    log.write_truth(parts[1], log.truth_of(readings))
+    parts[2].write_text(json.dumps(readings.settings) + "\n", encoding="utf-8")
+    for part, path in zip(parts, paths, strict=True):
+        part.replace(path)
 
 
-def _convert(path: Path, out: Path, ekf: Path | None) -> None:
+def _convert(path: Path, settings: Path, out: Path, ekf: Path | None) -> None:
     if ekf is None:
-        convert.convert(path, out, Config())
+        convert.convert(path, out, load_config(settings))
         return
-    command = [str(ekf), "convert", str(path), "-o", str(out)]
+    command = [str(ekf), "convert", str(path), "-o", str(out), "--config", str(settings)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     if done.returncode or not out.exists():
         raise CompanionError(

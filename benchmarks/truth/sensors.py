@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
 from pygeomag import GeoMag
@@ -51,6 +52,19 @@ class Fixes:
 
 
 @dataclass(slots=True, eq=False)
+class Source:
+    """Readings of a source beside the usual sensors, by the columns of a log."""
+
+    t: Array
+    """When each becomes known, s."""
+    stamp: Array
+    """When it was true, as the log says, s."""
+    columns: tuple[str, ...]
+    values: Array
+    """Shape (n, number of columns)."""
+
+
+@dataclass(slots=True, eq=False)
 class Readings:
     """All that was measured along a flight."""
 
@@ -66,6 +80,9 @@ class Readings:
     """Pressure height, m."""
     set_back: tuple[float, float] = (np.inf, 0.0)
     """When the log's clock is set back, and by how much, s."""
+    sources: list[Source] = field(default_factory=list)
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What is to be set of them, as in a configuration."""
 
 
 def measure(

@@ -20,6 +20,11 @@ SCALED = 0.15
 TURNED = 0.1
 """rad: a mounting that was not measured."""
 
+FAR_OFF = 1.0
+"""m; less is within what a receiver's own slow error is."""
+ASKEW = 0.035
+"""rad; two degrees, as a compass in the hand is off."""
+
 
 class SlowErrorFound(NamedTuple):
     """A slow error of an aid, as it is estimated."""
@@ -52,6 +57,19 @@ def oddities(found: Mapping[str, SlowErrorFound]) -> Iterator[str]:
                 f"anchor {number}: its ranges are {abs(error.value):.2f} m {than} than its place "
                 "and the other anchors say; look at anchor_range.anchors, or what stands before it"
             )
+    frame = [found.get(f"anchor_range_frame_{axis}") for axis in ("north", "east", "down")]
+    if any(error is not None and is_beyond(error, FAR_OFF) for error in frame):
+        north, east, down = (0.0 if error is None else error.value for error in frame)
+        yield (
+            f"anchors: all of them are {north:+.1f} m north, {east:+.1f} m east, {down:+.1f} m "
+            "down of where anchor_range.anchors says, by the receiver; measure their place anew"
+        )
+    yaw = found.get("anchor_range_frame_yaw")
+    if yaw and is_beyond(yaw, ASKEW):
+        yield (
+            f"anchors: all of them are turned by {math.degrees(yaw.value):.0f} deg from where "
+            "anchor_range.anchors says, by the receiver; measure their north anew"
+        )
     scale = found.get("optical_flow_scale")
     if scale and is_beyond(scale, SCALED):
         yield (

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import truth
 from benchmarks.truth import earth, judge, log, paths
-from benchmarks.truth.__main__ import main
+from benchmarks.truth.__main__ import MARKS, main
 from benchmarks.truth.cases import CASES, generate
+from benchmarks.truth.cases.sources import KINDS
 from benchmarks.truth.draw import DEG, Draw
 from benchmarks.truth.motion import FINE, fly
 from benchmarks.truth.run import Job, run
@@ -106,6 +107,34 @@ def test_cases_without_a_fault_are_honest(tmp_path):
         assert (tmp_path / f"{name}-03.csv").exists()
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_a_source_that_is_right_is_better_than_none(name, tmp_path):
+    """A minute without a receiver: no lie, and no worse than the same flight without the source."""
+    verdict = run(Job(name, 3, logs=tmp_path)).verdict
+    assert verdict.lie == 0.0
+    log_path = tmp_path / f"{name}-03.csv"
+    head, *rows = log_path.read_text(encoding="utf-8").splitlines()
+    known = len(",".join(log.COLUMNS).split(","))
+    kept = [row for row in rows if row.rstrip(",").count(",") < known]
+    log_path.write_text("\n".join([head, *kept]) + "\n", encoding="utf-8")
+    without = run(Job(name, 3, logs=tmp_path)).verdict
+    better = "pos_d" if name == "range" else "pos_h"
+    assert verdict.rms[better] <= 1.05 * without.rms[better]
+
+
+def test_a_fault_of_a_source_acts_in_its_time_only():
+    for name, kind in KINDS.items():
+        right = generate(name, 1).sources[-1]
+        for fault in kind.faults:
+            assert generate(f"{name}-{fault}", 1).sources[-1].columns == right.columns
+    steady, roof = (
+        case(Draw(1, "range")).sources[-1] for case in (CASES["range"], CASES["range-roof"])
+    )
+    off = np.flatnonzero(steady.values[:, 0] != roof.values[:, 0])
+    assert 35.0 < roof.t[off[-1]] - roof.t[off[0]] < 45.0
+    assert np.median((roof.values - steady.values)[off]) == pytest.approx(-5.0, abs=1.6)
+
+
 def test_the_table_goes_between_its_marks(monkeypatch, tmp_path, capsys):
     document = tmp_path / "doc.md"
     document.write_text("<!-- independent truth -->\n<!-- end -->\n", encoding="utf-8")
@@ -124,6 +153,20 @@ def test_the_table_goes_between_its_marks(monkeypatch, tmp_path, capsys):
     row = document.read_text(encoding="utf-8").splitlines()[3]
     assert row.startswith("| fig8 | fails in 1 of 1: ")
     assert head.count("|") == row.count("|")
+
+
+def test_the_rows_of_sources_have_a_table_of_their_own(monkeypatch, tmp_path):
+    document = tmp_path / "doc.md"
+    marks = "".join(f"<!-- {mark} -->\n<!-- end -->\n" for mark in MARKS)
+    document.write_text(marks, encoding="utf-8")
+    command = ["truth", "--only", "fig8", "range", "--seeds", "1", "--jobs", "1", "--each"]
+    monkeypatch.setattr("sys.argv", [*command, "--logs", str(tmp_path), "--write", str(document)])
+    assert main() == 0
+    lines = document.read_text(encoding="utf-8").splitlines()
+    assert [line.split(" ")[1] for line in lines if line.startswith("| ")] == [
+        *("case", "fig8-00", "fig8"),
+        *("case", "range-00", "range"),
+    ]
 
 
 def test_a_seed_is_a_flight():

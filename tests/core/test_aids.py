@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.aid import BY_KIND, DECLARED, SlowError, Value, aid
+from ekf_companion.core.memory.aid import BY_KIND, DECLARED, SlowError, Value, aid, declared_in
 from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid, Mode, N
 from ekf_companion.core.memory.overlay import errors
 from ekf_companion.core.memory.parameters import Parameters
@@ -169,3 +169,13 @@ def test_the_class_of_an_aid_is_read_as_it_is_compiled():
         found = next(c.found for c in vars(module).values() if hasattr(c, "found"))
         assert found == one
         assert all(isinstance(error, SlowError) for error in one.slow_errors.values())
+
+
+def test_no_name_is_declared_twice(tmp_path):
+    """The second would take the place of the first: a column of the row would be gone."""
+    path = tmp_path / "double.py"
+    lines = ["north = Value('m', 0.0, 1.0)", "north = SlowError('m')"]
+    body = "\n".join(f"    {line}" for line in lines)
+    path.write_text(f'\n@aid(Kind.RANGE, words="", sensor="", advice="")\nclass Double:\n{body}\n')
+    with pytest.raises(ValueError, match=r"double\.py: Double declares a name twice"):
+        declared_in(path)

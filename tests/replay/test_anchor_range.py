@@ -29,6 +29,8 @@ LAST_FIX = 15.0
 PLACES = np.array([[n, e, d] for n in (-30.0, 30.0) for e in (-30.0, 30.0) for d in (-1.0, -15.0)])
 """Of eight anchors about the first true position, m."""
 BIAS = 0.2
+EXACT = {"frame_std": 0.0, "frame_yaw_std": 0.0}
+SURVEYED = {"frame_std": 2.0, "frame_yaw_std": 0.05}
 
 
 class Ranged:
@@ -47,8 +49,11 @@ class Ranged:
         exact = np.linalg.norm(tag - PLACES[self.anchor], axis=1)
         self.ranges = exact + BIAS + self.rng.normal(0.0, 0.07, len(exact))
 
-    def fly(self, ranges, places=PLACES, settings=None):
-        """Return the pipeline and, without the receiver, the errors and their sigmas."""
+    def fly(self, ranges, places=PLACES, settings=None, last_fix=LAST_FIX, **known):
+        """Return the pipeline and, from 20 s on, the errors and their sigmas.
+
+        Their frame is exactly where it is said to be, unless ``known`` says otherwise.
+        """
         lat, lon, alt = self.frame.to_geodetic(places)
         anchors = tuple(
             (float(number), *map(float, np.degrees(place)), float(height))
@@ -56,11 +61,11 @@ class Ranged:
                 zip(np.stack([lat, lon], axis=1), alt, strict=True)
             )
         )
-        own = AnchorRangeSettings(anchors=anchors, places="geodetic")
+        own = AnchorRangeSettings(anchors=anchors, places="geodetic", **(known or EXACT))
         unknown = np.full(len(ranges), np.nan)
         measured = Events.from_columns(self.t_ns, Kind.ANCHOR, ranges, self.anchor, *[unknown] * 5)
         t = (self.events.t_ns - self.first_ns) * 1e-9
-        is_gone = (t > LAST_FIX) & np.isin(self.events.kind, (Kind.GNSS, Kind.BARO))
+        is_gone = (t > last_fix) & np.isin(self.events.kind, (Kind.GNSS, Kind.BARO))
         pipeline = Pipeline(settings or FilterSettings(anchor_range=own), "px4")
         table = pipeline.run(merge(self.events.take(~is_gone), measured))
         place = (np.radians(table.column("lat_deg")), np.radians(table.column("lon_deg")))
@@ -101,6 +106,10 @@ FAULTS = {
         (one.anchor == 2) & (one.t > 20.0), one.ranges[(one.anchor == 2)][100], one.ranges
     ),
     "all too long by 2 %": lambda one: 1.02 * one.ranges,
+    "three of them behind a wall": lambda one: np.where(
+        (one.anchor % 3 == 0) & (one.t > 20.0), one.ranges + 2.0, one.ranges
+    ),
+    "frozen": lambda one: np.where((one.t > 25.0) & (one.t < 35.0), one.ranges[1000], one.ranges),
     "only three of them": lambda one: np.where(one.anchor < 3, one.ranges, np.nan),
     "in feet": lambda one: 3.28 * one.ranges,
 }
@@ -111,6 +120,41 @@ def test_what_is_wrong_with_them_is_within_the_sigma(name):
     one = ranged("figure-eight")
     _, error, std = one.fly(FAULTS[name](one))
     assert (np.abs(error) / std).max() < 6.0
+
+
+@pytest.mark.parametrize("off_n", [(4.0, -3.0, 0.0), (0.0, 0.0, 5.0)], ids=["level", "height"])
+def test_a_frame_that_is_off_is_found_beside_the_receiver_and_named(off_n):
+    one = ranged("figure-eight")
+    pipeline, error, std = one.fly(one.ranges, PLACES + off_n, last_fix=np.inf, **SURVEYED)
+    assert (np.abs(error) / std).max() < 4.0
+    (said,) = pipeline.health().oddities
+    assert said.startswith("anchors: all of them are ")
+    x = pipeline.filter_state
+    frame = x.anchor_range_frame_north, x.anchor_range_frame_east, x.anchor_range_frame_down
+    assert frame == pytest.approx(-np.array(off_n), abs=1.0)
+
+
+def test_a_frame_that_is_turned_is_found_beside_the_receiver_and_named():
+    one = ranged("figure-eight")
+    c, s = np.cos(0.1), np.sin(0.1)
+    turned = PLACES @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    pipeline, error, std = one.fly(one.ranges, turned, last_fix=np.inf, **SURVEYED)
+    assert (np.abs(error) / std).max() < 4.0
+    (said,) = pipeline.health().oddities
+    assert said.startswith("anchors: all of them are turned by -6 deg")
+
+
+def test_a_frame_that_is_right_is_not_named_and_the_sigma_is_that_of_the_receiver():
+    one = ranged("figure-eight")
+    pipeline, error, std = one.fly(one.ranges, last_fix=np.inf, **SURVEYED)
+    assert pipeline.health().oddities == ()
+    assert (np.abs(error) / std).max() < 4.0
+    gone, error, lost = one.fly(one.ranges, **SURVEYED)
+    assert gone.health().oddities == ()
+    assert (np.abs(error) / lost).max() < 4.0
+    # it stays what it was when the receiver went
+    assert lost[-1, :2].max() < 1.5 * lost[0, :2].max()
+    assert (lost[:, :2] > one.fly(one.ranges)[2][:, :2]).all()
 
 
 def test_one_whose_place_is_wrong_by_a_metre_is_named_and_no_other():
@@ -253,6 +297,9 @@ def in_the_room(*sensors, moved=(), calibrated=(), begin=10.0):
             anchors=tuple(map(tuple, known)),
             places="geodetic",
             lever_arm=(-0.012, -0.001, -0.091),
+            # the motion capture that is the truth has measured them
+            frame_std=0.0,
+            frame_yaw_std=0.0,
             biases=calibrated,
             **({"bias_std": 0.03, "spread_std": 0.01} if calibrated else {}),
         ),

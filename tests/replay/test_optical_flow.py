@@ -116,6 +116,9 @@ def bursts(t, rates):
 
 
 FAULTS = {
+    "frozen": lambda t, rates: np.where(
+        (t > 30.0)[:, None], rates[np.searchsorted(t, 30.0)], rates
+    ),
     "wrong sign": lambda t, rates: -rates,
     "x and y exchanged": lambda t, rates: rates[:, ::-1],
     "turned by 90 deg": turned(np.pi / 2.0),

@@ -39,7 +39,7 @@ from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import cos, fabs, isnan, sin
 
-from ekf_companion.core.memory.aid import SlowError, Value, aid
+from ekf_companion.core.memory.aid import Kept, SlowError, Value, aid
 from ekf_companion.nav.measurements import Kind
 
 SCALE_STD = cython.declare(cython.int, 0)
@@ -69,12 +69,17 @@ KNOWN = cython.declare(cython.double, 0.5)
 reading would be believed whatever it says."""
 
 
+FROZEN = cython.declare(cython.double, 1e9)
+"""Time for which a camera that works cannot repeat a reading to the bit, ns: ten readings."""
+
+
 @aid(
     Kind.FLOW,
     words="optical flow",
     sensor="optical flow sensor",
     advice="Look at its mounting (optical_flow.turn), its lens and the light, raise "
     "optical_flow.std, or optical_flow.use = false.",
+    yields=True,
     is_tried=True,
     shows_velocity=True,
 )
@@ -91,6 +96,8 @@ class OpticalFlow:
     turn = SlowError("rad", walk=None, speed_walk=None)
     bias_x = SlowError("rad/s", walk="bias_walk", speed_walk=None)
     bias_y = SlowError("rad/s", walk="bias_walk", speed_walk=None)
+    last = Kept("rad/s", 2)
+    changed_t = Kept("ns")
 
 
 def ground(x: State) -> float:
@@ -120,6 +127,15 @@ def is_seen(x: State, k: Parameters, row: Vector) -> bool:
     return c > UPRIGHT and height > k.aid[AID_OPTICAL_FLOW].own[LOWEST] and height > 0.0
 
 
+def is_frozen(x: State, row: Vector) -> bool:
+    """Return whether a flow that counts has repeated itself to the bit for long; keep it."""
+    if row[0] != x.optical_flow_last[0] or row[1] != x.optical_flow_last[1]:
+        x.optical_flow_last[0] = row[0]
+        x.optical_flow_last[1] = row[1]
+        x.optical_flow_changed_t = x.t
+    return x.has_aid[AID_OPTICAL_FLOW] == 1.0 and x.t - x.optical_flow_changed_t > FROZEN
+
+
 def noise_share(x: State) -> float:
     """Return how many times larger the noise is than is stated, by the innovations so far."""
     n = x.nis_n[AID_OPTICAL_FLOW]
@@ -147,6 +163,7 @@ def begin(x: State, k: Parameters, row: Vector) -> bool:
 
 def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
     """Observe the velocity over the height along the sensor's axes, less its turn: two rows."""
+    frozen = cython.declare(cython.bint, is_frozen(x, row))
     if not is_seen(x, k, row):
         return False
     s = address(k.aid[AID_OPTICAL_FLOW])
@@ -216,6 +233,6 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
             for i in range(2):
                 o.R[r][r] += x.noise[i] / x.dt if x.dt > 0.0 else 0.0
         o.R[r][r] += high * scale * along * scale * along
-    if fabs(x.optical_flow_scale) > LARGEST_SCALE:
+    if frozen or fabs(x.optical_flow_scale) > LARGEST_SCALE:
         o.z[0] = NAN
     return True

@@ -51,6 +51,7 @@ BESIDE_POSE = cython.declare(cython.double, 1e9)
     words="velocity of visual odometry",
     sensor="visual velocity",
     advice="Look at its quality, raise visual_velocity.std, or visual_velocity.use = false.",
+    yields=True,
     shows_velocity=True,
 )
 class VisualVelocity:

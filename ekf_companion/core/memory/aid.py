@@ -116,12 +116,19 @@ def aid(
     return mark
 
 
-def _read(path: Path) -> Declaration | None:
-    """Return what a file declares; None: it is no aid of its own."""
+def declared_in(path: Path) -> Declaration | None:
+    """Return what a file declares; None: it is no aid of its own.
+
+    Raises:
+        ValueError: It declares a name twice, of which the second would hide the first.
+    """
     text = path.read_text(encoding="utf-8")
     if "\n@aid(" not in text:
         return None
     node = next(one for one in ast.parse(text).body if isinstance(one, ast.ClassDef))
+    targets = [ast.unparse(one.targets[0]) for one in node.body if isinstance(one, ast.Assign)]
+    if len({*targets}) < len(targets):
+        raise ValueError(f"{path.name}: {node.name} declares a name twice")
     names: dict[str, Any] = {one.__name__: one for one in (aid, Value, SlowError, Kept, Kind)}
     names["__name__"] = path.stem
     exec(compile(ast.Module([node], []), path, "exec"), names)
@@ -131,7 +138,7 @@ def _read(path: Path) -> Declaration | None:
 
 DECLARED = tuple(
     sorted(
-        (found for path in FOLDER.glob("[!.]*.py") if (found := _read(path)) is not None),
+        (found for path in FOLDER.glob("[!.]*.py") if (found := declared_in(path)) is not None),
         key=lambda one: one.kind,
     )
 )

@@ -148,7 +148,8 @@ def fuse_parts(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> bo
                 gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
             return x.has_aid[aid] != 0.0
         if part == 0 and (is_stuck(x, k, aid) or is_outvoted(x, k, aid)):
-            if not is_stuck(x, k, aid):
+            # one that is tried for long goes on with what it has shown as soon as it counts again
+            if not is_stuck(x, k, aid) and k.aid[aid].is_tried == 0.0:
                 x.has_aid[aid] = 0.0
             gate.count_verdict(x, aid, VERDICT_DENIED)
             return True

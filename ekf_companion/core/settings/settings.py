@@ -378,7 +378,13 @@ class AnchorRangeSettings:
     """One sigma of an error that all ranges share: the delay of the radios."""
     spread_std: Annotated[NotNegative, Setting("m", reload=True)] = 0.05
     """One sigma of how much the error of an anchor's ranges differs from that: its own delay, and
-    its place."""
+    its place among the others."""
+    frame_std: Annotated[NotNegative, Setting("m", reload=True)] = 2.0
+    """One sigma, per axis, of where all of them are: the place that they were surveyed from, as by
+    a receiver's fix; where they count from the origin that is the first fix. Beside a receiver the
+    position is no surer than that, or than the receiver. 0: exactly there, whatever it says."""
+    frame_yaw_std: Annotated[NotNegative, Setting("rad", reload=True)] = 0.05
+    """One sigma of how they are turned about the vertical: north by a compass in the hand."""
     walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.005
     """Random walk of these errors."""
     lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
