@@ -25,6 +25,8 @@ score       the estimate against the truth; score_table prints it
 episodes    the effect of each fault on the estimate, and the time of recovery
 recording   files: truth as CSV, frames as .tlog
 replay      a recorded flight as frames at their times
+component   another computer on the link, with faults: vision says where the vehicle is, ranging
+            how far from anchors
 lidar       a simulated lidar with its inertial sensor, in a room of its own
 figure      the figure of a flight
 fly, demo, __main__   the shells, which alone open, await, sleep and print

@@ -27,8 +27,9 @@ MISSING = {
     "32s serial_number",
 }
 """Messages of the common definitions that no packaged dialect has."""
-NEWER = {441: development.mavlink_map[441]}
-"""GNSS_INTEGRITY, which autopilots and ground stations know beside that dialect."""
+NEWER = {number: development.mavlink_map[number] for number in (441, 513)}
+"""Which autopilots and others know beside that dialect, and only ``development`` has: GNSS_INTEGRITY,
+and RANGING_BEACON, a range to an anchor."""
 
 
 def definitions() -> str:

@@ -25,6 +25,7 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decision import Decision, Hold, stream_state
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions, Family, aids
+from ekf_companion.mavlink.decode.external import RANGES
 from ekf_companion.mavlink.delivery import Delivery
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import POSES, SystemStatus, knows_odometry
@@ -336,7 +337,9 @@ class Session:
     def _receive_from_other(self, frame: Frame) -> list[Measurement]:
         """Return what another component measured, which is neither the autopilot nor we."""
         peer, source = self.discovery.peer, frame[1:3]
-        if not self.options.reads_others or peer is None or source in (peer, self.outbox.ids):
+        if not (self.options.reads_others or frame.message_id in RANGES):
+            return []
+        if peer is None or source in (peer, self.outbox.ids):
             return []
         return self.decoder.external.read(frame, peer[0])
 

@@ -318,15 +318,17 @@ class AnchorSample:
     """Its number in the configuration."""
     std: float | None = None
     """One sigma, m, > 0; None: not known."""
+    place: tuple[float, float, float] | None = None
+    """Latitude and longitude, rad, and altitude above mean sea level, m, of the anchor; None: as it
+    is in the configuration."""
 
     def row(self) -> Row:
         """Return [range, anchor, position of the anchor, whether that is geodetic, std].
 
-        The position is filled in by the configuration.
+        The position is filled in by the configuration where it is not known.
         """
-        return make_row(
-            self.t_ns, Kind.ANCHOR, self.range, float(self.anchor), *(None,) * 4, self.std
-        )
+        place = (None,) * 4 if self.place is None else (*self.place, 1.0)
+        return make_row(self.t_ns, Kind.ANCHOR, self.range, float(self.anchor), *place, self.std)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

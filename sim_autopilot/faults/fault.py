@@ -48,6 +48,7 @@ _WAY = Word(("both", "out", "in"))
 _METRES = Number(0.0, -1e6, 1e6)
 _ANGLE = Number(0.0, -180.0, 180.0)
 _GAUSS = Number(0.0, -100.0, 100.0)
+_DELAY = Number(0.5, 0.0, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +148,23 @@ _SENSOR: _Kinds = {
         10.0,
         {"lowest": Number(0.3, 0.0, 1e3), "highest": Number(39.0, 0.0, 1e3)},
     ),
+    "range-step": (
+        "the range finder reads `by` metres more: a pit, or a roof",
+        10.0,
+        {"by": Number(-5.0, -1e3, 1e3)},
+    ),
+    "range-drift": (
+        "the ground sinks by `speed` m/s, as a deck does",
+        20.0,
+        {"speed": Number(0.3, -10.0, 10.0)},
+    ),
+    "range-scale": (
+        "the range is `factor` times what it is",
+        20.0,
+        {"factor": Number(1.1, 0.0, 10.0)},
+    ),
+    "range-frozen": ("the same range again and again", 10.0, {}),
+    "range-late": ("ranges come late, as if they were new", 20.0, {"delay": _DELAY}),
     "pitot-blocked": (
         "the pitot tube is shut: its pressure stays, and reads as more the higher the vehicle is",
         20.0,
@@ -158,12 +176,24 @@ _SENSOR: _Kinds = {
         20.0,
         {"factor": Number(0.5, -10.0, 10.0)},
     ),
+    "pitot-drift": (
+        "the airspeed reads `speed` m/s more in each second",
+        20.0,
+        {"speed": Number(0.2, -10.0, 10.0)},
+    ),
+    "pitot-late": ("airspeeds come late, as if they were new", 20.0, {"delay": _DELAY}),
     "wheel-slip": (
         "the wheels turn by `speed` m/s faster than the vehicle moves; its way jumps back after",
         5.0,
         {"speed": Number(3.0, -100.0, 100.0)},
     ),
     "wheel-frozen": ("the wheels' way stays as it is, and jumps after", 5.0, {}),
+    "wheel-scale": (
+        "the wheels turn by `factor`; their way jumps back after",
+        20.0,
+        {"factor": Number(1.1, 0.0, 10.0)},
+    ),
+    "wheel-late": ("the wheels' way comes late, as if it were new", 20.0, {"delay": _DELAY}),
     "flow-frozen": ("the optical flow sensor says the same again and again", 10.0, {}),
     "flow-blind": (
         "the optical flow sensor sees nothing, and says so, or that nothing moves (still)",
@@ -179,6 +209,17 @@ _SENSOR: _Kinds = {
         "the ground that the optical flow sensor sees moves itself, as water, rad/s",
         10.0,
         {"x": Number(0.1, -10.0, 10.0), "y": Number(0.0, -10.0, 10.0)},
+    ),
+    "flow-turned": (
+        "the optical flow sensor is turned by `yaw` degrees, and its gyro with it",
+        10.0,
+        {"yaw": Number(90.0, -180.0, 180.0)},
+    ),
+    "flow-late": ("optical flow comes late, as if it were new", 10.0, {"delay": _DELAY}),
+    "flow-jitter": (
+        "the stamps of the optical flow are off by `std` seconds, one sigma",
+        10.0,
+        {"std": Number(0.05, 0.0, 1.0)},
     ),
 }
 _SETUP: _Kinds = {

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from sim_autopilot.flight import Cycle, Fix, Flow, Vector
 from sim_autopilot.sensors import pressure
 
 _NAN: Vector = (math.nan, math.nan, math.nan)
+OnCycle = Callable[[Fault, Cycle, float], Cycle]
+"""Changes a cycle by a fault that has lasted for some time, s."""
 
 
 class SensorFaults:
@@ -26,10 +30,14 @@ class SensorFaults:
         self._zero_ns = zero_ns
         self._good: Cycle | None = None
         self._good_fix: Fix | None = None
-        self._way: dict[int, float] = {}
-        """Way of the wheels at the begin of each fault of theirs, by its number, m."""
-        self._airspeed: dict[int, tuple[float, float]] = {}
-        """Likewise airspeed, m/s, and altitude, m."""
+        self._begin: dict[int, Cycle] = {}
+        """At the begin of each fault, by its number."""
+        self._past: dict[int, deque[Cycle]] = {
+            number: deque()
+            for number, fault in enumerate(self._faults)
+            if fault.kind.name.endswith("-late")
+        }
+        """What is still to come late, likewise."""
         self._good_flow: Flow | None = None
         self._on_fix: dict[str, Callable[[Fault, Fix, float], Fix | None]] = {
             "gnss-outage": _outage,
@@ -37,7 +45,7 @@ class SensorFaults:
             "gnss-drag": _drag,
             "gnss-frozen": self._frozen,
         }
-        self._on_cycle: dict[str, Callable[[Fault, Cycle, float], Cycle]] = {
+        self._on_cycle: dict[str, OnCycle] = {
             "imu-saturation": _saturation,
             "imu-stuck": self._stuck,
             "imu-nan": lambda fault, cycle, t: cycle._replace(gyro_b=_NAN, accel_b=_NAN),
@@ -45,15 +53,27 @@ class SensorFaults:
             "mag-disturbance": _disturbance,
             "baro-step": _step,
             "range-bounce": _bounce,
+            "range-step": _on("range_m", lambda fault, read, t: read + fault.number("by")),
+            "range-drift": _on("range_m", _drift),
+            "range-scale": _on("range_m", _scale),
+            "range-frozen": self._held("range_m"),
+            "range-late": self._late("range_m"),
             "pitot-blocked": self._blocked,
-            "pitot-frozen": self._pitot_frozen,
-            "pitot-scale": _pitot_scale,
-            "wheel-slip": self._slip,
-            "wheel-frozen": self._wheel_frozen,
+            "pitot-frozen": self._held("airspeed"),
+            "pitot-scale": _on("airspeed", _scale),
+            "pitot-drift": _on("airspeed", _drift),
+            "pitot-late": self._late("airspeed"),
+            "wheel-slip": _on("wheel_m", _drift),
+            "wheel-frozen": self._held("wheel_m"),
+            "wheel-scale": self._wheel_scale,
+            "wheel-late": self._late("wheel_m"),
             "flow-frozen": self._flow_frozen,
             "flow-blind": _blind,
             "flow-scale": _flow_scale,
             "flow-drift": _flow_drift,
+            "flow-turned": _flow_turned,
+            "flow-late": self._flow_late,
+            "flow-jitter": _flow_jitter,
             "mounting": _mounting,
             "own-estimate": _own_estimate,
             "accel-drift": _accel_drift,
@@ -62,6 +82,9 @@ class SensorFaults:
     def apply(self, cycle: Cycle) -> Cycle:
         """Return the cycle with the faults that act now."""
         t = (cycle.flight_ns - self._zero_ns) * 1e-9
+        for number, past in self._past.items():
+            past.append(cycle)
+            self._before(self._faults[number], cycle)
         acting = [fault for fault in self._faults if fault.start <= t < fault.end]
         right = cycle
         for fault in acting:
@@ -93,43 +116,79 @@ class SensorFaults:
         frozen = self._good_flow or cycle.flow
         return cycle._replace(flow=frozen._replace(t_ns=cycle.flow.t_ns))
 
+    def _first(self, fault: Fault, cycle: Cycle) -> Cycle:
+        """Return the first cycle of a fault."""
+        return self._begin.setdefault(self._faults.index(fault), cycle)
+
+    def _held(self, name: str) -> OnCycle:
+        """Return a fault that repeats its first reading of a field."""
+
+        def act(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+            return cycle._replace(**{name: getattr(self._first(fault, cycle), name)})
+
+        return act
+
+    def _before(self, fault: Fault, cycle: Cycle) -> Cycle:
+        """Return the cycle that is as old as what comes late now."""
+        past = self._past[self._faults.index(fault)]
+        then_ns = cycle.flight_ns - round(fault.number("delay") * 1e9)
+        while len(past) > 1 and past[1].flight_ns <= then_ns:
+            past.popleft()
+        return past[0]
+
+    def _late(self, name: str) -> OnCycle:
+        """Return a fault that brings the readings of a field late."""
+
+        def act(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+            return cycle._replace(**{name: getattr(self._before(fault, cycle), name)})
+
+        return act
+
+    def _flow_late(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        flow = self._before(fault, cycle).flow
+        if flow is not None:
+            flow = flow._replace(t_ns=flow.t_ns + round(fault.number("delay") * 1e9))
+        return cycle._replace(flow=flow)
+
     def _blocked(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
         """Read by the pressure that is shut up in the tube: it grows as the vehicle climbs."""
-        if cycle.airspeed is None:
+        first = self._first(fault, cycle)
+        if first.airspeed is None:
             return cycle
-        held, alt = self._airspeed.setdefault(
-            self._faults.index(fault), (cycle.airspeed, cycle.truth.alt)
-        )
-        trapped = 0.5 * 1.225 * held * abs(held)
-        trapped += 100.0 * (pressure(alt) - pressure(cycle.truth.alt))
+        trapped = 0.5 * 1.225 * first.airspeed * abs(first.airspeed)
+        trapped += 100.0 * (pressure(first.truth.alt) - pressure(cycle.truth.alt))
         read = math.copysign(math.sqrt(abs(trapped) / (0.5 * 1.225)), trapped)
         noise = 0.05 * np.random.default_rng(cycle.number).standard_normal()
         return cycle._replace(airspeed=read + float(noise))
 
-    def _pitot_frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
-        if cycle.airspeed is None:
+    def _wheel_scale(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        """Turn the wheels further than the vehicle moves, from the begin on."""
+        begin = self._first(fault, cycle).wheel_m
+        if begin is None or cycle.wheel_m is None:
             return cycle
-        held = self._airspeed.setdefault(self._faults.index(fault), (cycle.airspeed, 0.0))
-        return cycle._replace(airspeed=held[0])
+        way = fault.number("factor") * (cycle.wheel_m - begin)
+        return cycle._replace(wheel_m=begin + way)
 
-    def _slip(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
-        """Turn the wheels further than the vehicle moves, by a speed; what is gained stays."""
-        if cycle.wheel_m is None:
+
+def _on(name: str, change: Callable[[Fault, float, float], float]) -> OnCycle:
+    """Return a fault that changes each reading of a field, given the time since its begin, s."""
+
+    def act(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+        read = getattr(cycle, name)
+        if read is None:
             return cycle
-        return cycle._replace(wheel_m=cycle.wheel_m + fault.number("speed") * t)
+        changed: dict[str, Any] = {name: change(fault, read, t)}
+        return cycle._replace(**changed)
 
-    def _wheel_frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
-        if cycle.wheel_m is None:
-            return cycle
-        return cycle._replace(
-            wheel_m=self._way.setdefault(self._faults.index(fault), cycle.wheel_m)
-        )
+    return act
 
 
-def _pitot_scale(fault: Fault, cycle: Cycle, t: float) -> Cycle:
-    if cycle.airspeed is None:
-        return cycle
-    return cycle._replace(airspeed=fault.number("factor") * cycle.airspeed)
+def _scale(fault: Fault, read: float, t: float) -> float:
+    return fault.number("factor") * read
+
+
+def _drift(fault: Fault, read: float, t: float) -> float:
+    return read + fault.number("speed") * t
 
 
 def _outage(fault: Fault, fix: Fix, t: float) -> Fix | None:
@@ -205,6 +264,22 @@ def _flow_drift(fault: Fault, cycle: Cycle, t: float) -> Cycle:
         return cycle
     x, y = flow.rate
     return cycle._replace(flow=flow._replace(rate=(x + fault.number("x"), y + fault.number("y"))))
+
+
+def _flow_turned(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if (flow := cycle.flow) is None:
+        return cycle
+    angle = math.radians(fault.number("yaw"))
+    c, s = math.cos(angle), math.sin(angle)
+    rate, gyro = ((c * x + s * y, c * y - s * x) for x, y in (flow.rate, flow.gyro))
+    return cycle._replace(flow=flow._replace(rate=rate, gyro=gyro))
+
+
+def _flow_jitter(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    if (flow := cycle.flow) is None:
+        return cycle
+    off = fault.number("std") * np.random.default_rng(cycle.number).standard_normal()
+    return cycle._replace(flow=flow._replace(t_ns=flow.t_ns + round(off * 1e6) * 1000))
 
 
 def _mounting(fault: Fault, cycle: Cycle, t: float) -> Cycle:

@@ -2,13 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
 
+from ekf_companion.mavlink.decode.external import RANGES
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.second_source import POSES
 from ekf_companion.mavlink.session import Session, SessionOptions
 from ekf_companion.nav import so3
-from ekf_companion.nav.measurements import Kind, PoseSample, VelocitySample
+from ekf_companion.nav.measurements import AnchorSample, Kind, PoseSample, VelocitySample
 from tests.mavlink.conversation import MS, SECOND, Voice, met
 
 NAN = math.nan
@@ -34,6 +36,18 @@ ODOMETRY = {
     "quality": 90,
 }
 
+TIME_USEC = ("ODOMETRY", "ATT_POS_MOCAP", "RANGING_BEACON")
+RANGE = {
+    "beacon_id": 3,
+    "range": 12_345,
+    "range_accuracy": 80,
+    "lat": 473_977_420,
+    "lon": 85_455_940,
+    "alt": 490.2,
+    "alt_type": 1,
+}
+UNKNOWN = {"range_accuracy": 2**32 - 1, "lat": 2**31 - 1}
+
 
 class Link:
     """A session that knows its autopilot's clock, at 10 s."""
@@ -52,8 +66,7 @@ class Link:
         self.tell_time()
 
     def hear(self, name, voice=VISION, **fields):
-        stamped = ("ODOMETRY", "ATT_POS_MOCAP", "VISION_POSITION_DELTA")
-        stamp = "time_usec" if name in stamped else "usec"
+        stamp = "time_usec" if name in TIME_USEC else "usec"
         said = voice.say(name, **({stamp: self.now_ns // 1000} | fields))
         return self.session.receive(said, self.now_ns)
 
@@ -223,6 +236,37 @@ def test_stamps_of_another_clock_are_brought_to_the_autopilots(offset_us):
     assert found == pytest.approx(lags * 10, abs=1e-4)
 
 
+def test_a_range_to_an_anchor_is_read_unasked():
+    link = Link(reads_others=False)
+    (found,) = link.hear("RANGING_BEACON", **RANGE)
+    assert type(found) is AnchorSample
+    assert (found.t_ns, found.anchor, found.range, found.std) == (link.now_ns, 3, 12.345, 0.08)
+    lat, lon, alt = found.place
+    assert (math.degrees(lat), math.degrees(lon)) == pytest.approx((47.397742, 8.545594))
+    assert found.row()[2][:6] == (12.345, 3.0, lat, lon, alt, 1.0)
+    assert alt == pytest.approx(490.2)
+    assert link.session.decoder.external.used == {Kind.ANCHOR: "1/197 RANGING_BEACON"}
+
+
+@pytest.mark.parametrize("fields", [UNKNOWN, {"alt": NAN}, {"alt_type": 0}, {"lon": 2**31 - 1}])
+def test_an_anchor_whose_place_is_not_stated_is_that_of_the_configuration(fields):
+    (found,) = Link().hear("RANGING_BEACON", **(RANGE | fields))
+    assert found.place is None
+    assert found.std == (None if "range_accuracy" in fields else 0.08)
+    assert np.isnan(found.row()[2][2:6]).all()
+
+
+@pytest.mark.parametrize("fields", [{"range": 2**32 - 1}, {"range": 0}, {"status": 1}])
+def test_what_is_no_range_is_left_out(fields):
+    assert Link().hear("RANGING_BEACON", **(RANGE | fields)) == []
+
+
+def test_a_range_of_another_vehicle_is_refused_by_its_name():
+    link = Link()
+    assert link.hear("RANGING_BEACON", Voice(2, 25), **RANGE) == []
+    assert link.session.decoder.refused == {"range to an anchor: of another vehicle": 1}
+
+
 def test_a_stamp_of_zero_is_the_time_of_its_arrival():
     link = Link()
     (pose,) = link.hear("VISION_POSITION_ESTIMATE", usec=0)
@@ -277,7 +321,7 @@ def test_a_way_that_cannot_be_is_refused(fields):
 
 
 def test_all_that_it_reads_is_a_message_that_an_autopilot_may_fuse():
-    assert {*Link().session.decoder.external.readers} <= POSES
+    assert {*Link().session.decoder.external.readers} - RANGES <= POSES
     assert IDS["VISION_SPEED_ESTIMATE"] in POSES
 
 

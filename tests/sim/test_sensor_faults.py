@@ -158,6 +158,56 @@ def test_wheels_that_slip_turn_further_and_a_scale_is_a_factor():
     assert faulty(f"pitot-scale:{WHEN},factor=-1")[k].airspeed == -right()[k].airspeed
 
 
+def test_what_comes_late_is_what_was_read_before():
+    for name, field in (("range", "range_m"), ("pitot", "airspeed"), ("wheel", "wheel_m")):
+        late = faulty(f"{name}-late:{WHEN},delay=0.2")
+        found = [getattr(late[k], field) for k in INSIDE]
+        assert found == [getattr(right()[k - 50], field) for k in INSIDE]
+    late = [faulty(f"flow-late:{WHEN},delay=0.2")[k].flow for k in INSIDE]
+    were = [right()[k - 50].flow for k in INSIDE]
+    assert [one and one.rate for one in late] == [one and one.rate for one in were]
+    assert {
+        one.t_ns - was.t_ns for one, was in zip(late, were, strict=True) if was is not None
+    } == {200_000_000}
+
+
+def test_ranges_and_airspeeds_step_drift_and_have_a_scale():
+    last = INSIDE[-1]
+    for text, field, expected in (
+        ("range-step:by=-5", "range_m", lambda read: read - 5.0),
+        ("range-drift:speed=0.4", "range_m", lambda read: read + 1.2),
+        ("range-scale:factor=1.2", "range_m", lambda read: 1.2 * read),
+        ("pitot-drift:speed=-0.2", "airspeed", lambda read: read - 0.6),
+    ):
+        kind, _, value = text.partition(":")
+        found = getattr(faulty(f"{kind}:{WHEN},{value}")[last], field)
+        assert found == pytest.approx(expected(getattr(right()[last], field)), abs=0.01)
+
+
+def test_wheels_of_another_size_gain_way_in_proportion():
+    found = faulty(f"wheel-scale:{WHEN},factor=1.5")
+    begin, end = (right()[k].wheel_m for k in (INSIDE[0], INSIDE[-1]))
+    assert found[INSIDE[0]].wheel_m == begin
+    assert found[INSIDE[-1]].wheel_m == pytest.approx(begin + 1.5 * (end - begin))
+
+
+def test_a_flow_sensor_that_is_turned_turns_its_gyro_too():
+    turned = faulty(f"flow-turned:{WHEN},yaw=90")
+    flows = [(right()[k].flow, turned[k].flow) for k in INSIDE if right()[k].flow is not None]
+    for was, now in flows:
+        for before, after in ((was.rate, now.rate), (was.gyro, now.gyro)):
+            assert after == pytest.approx((before[1], -before[0]))
+
+
+def test_stamps_of_the_flow_jitter_in_whole_microseconds():
+    jittered = faulty(f"flow-jitter:{WHEN},std=0.02")
+    offs = [
+        jittered[k].flow.t_ns - right()[k].flow.t_ns for k in INSIDE if right()[k].flow is not None
+    ]
+    assert 0.01e9 < np.std(offs) < 0.03e9
+    assert not np.any(np.array(offs) % 1000)
+
+
 def test_faults_can_overlap():
     both = faulty(f"imu-nan:{WHEN}", f"gnss-outage:{WHEN}")
     assert all(math.isnan(both[k].gyro_b[0]) and both[k].fix is None for k in INSIDE)

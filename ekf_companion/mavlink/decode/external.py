@@ -1,4 +1,4 @@
-"""Poses and velocities that other components send: visual odometry, motion capture.
+"""What other components send: poses, velocities and ranges of cameras, motion capture and radios.
 
 They are stamped by the autopilot's clock where the two are synchronised, by ours (unix time) where
 they come from this board, else by a clock of their own. How far ours is from the autopilot's its
@@ -23,7 +23,7 @@ from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.nav import so3
-from ekf_companion.nav.measurements import Kind, PoseSample, VelocitySample
+from ekf_companion.nav.measurements import AnchorSample, Kind, PoseSample, VelocitySample
 
 Axes = tuple[tuple[int, float], ...]
 """Which axis of another frame, and with which sign, is x, y, z of one whose z points down."""
@@ -62,6 +62,18 @@ _DELTA_STD = 0.1, 0.9
 EK3_VIS_VERR_MAX)."""
 _SENDERS = 16
 """Told apart, at most."""
+RANGES = frozenset([IDS["RANGING_BEACON"]])
+"""Messages that nobody can have made of GNSS."""
+_UNKNOWN_MM, _UNKNOWN_DEGE7 = 2**32 - 1, 2**31 - 1
+_ABOVE_SEA = 1
+"""RANGING_BEACON_ALT_TYPE; 0: above the ellipsoid, which no altitude here is."""
+_POOR = 1
+"""RANGING_BEACON_STATUS_FLAG."""
+_KINDS: dict[type, Kind] = {
+    PoseSample: Kind.POSE,
+    VelocitySample: Kind.VELOCITY,
+    AnchorSample: Kind.ANCHOR,
+}
 
 
 class _OurClock:
@@ -129,6 +141,7 @@ class External:
             "ATT_POS_MOCAP": self._mocap,
             "VISION_SPEED_ESTIMATE": self._speed,
             "VISION_POSITION_DELTA": self._delta,
+            "RANGING_BEACON": self._range,
         }
         self.readers = {IDS[name]: reader for name, reader in readers.items()}
         """By message id."""
@@ -141,7 +154,7 @@ class External:
         self._senders: list[tuple[int, int, int]] = []
         self._clocks: dict[tuple[int, int], _Clock] = {}
         self._ours = _OurClock()
-        self._sources = {kind: Preference() for kind in (Kind.POSE, Kind.VELOCITY)}
+        self._sources = {kind: Preference() for kind in _KINDS.values()}
         self.used.clear()
 
     def read(self, frame: Frame, system_id: int, now_ns: int | None = None) -> Measurements:
@@ -155,15 +168,16 @@ class External:
         reader = self.readers.get(frame.message_id)
         if reader is None:
             return []
+        what = "range to an anchor" if frame.message_id in RANGES else "odometry"
         if frame.system_id != system_id and frame.system_id < _GROUND:
-            return self._context.refuse("odometry: of another vehicle")
+            return self._context.refuse(f"{what}: of another vehicle")
         latest_us = self._context.clock.latest_us
         if latest_us is None:
-            return self._context.refuse("odometry: no time base yet")
+            return self._context.refuse(f"{what}: no time base yet")
         source = frame.system_id, frame.component_id, frame.message_id
         if source not in self._senders:
             if len(self._senders) == _SENDERS:
-                return self._context.refuse("odometry: too many senders")
+                return self._context.refuse(f"{what}: too many senders")
             self._senders.append(source)
         message = unpack(frame)
         stamp_us = message.time_usec if hasattr(message, "time_usec") else message.usec
@@ -179,7 +193,7 @@ class External:
         return [one for one in found if self._admit(one, rank, source)]
 
     def _admit(self, one: Any, rank: int, source: tuple[int, int, int]) -> bool:
-        kind = Kind.POSE if type(one) is PoseSample else Kind.VELOCITY
+        kind = _KINDS[type(one)]
         if not self._sources[kind].admit(rank, one.t_ns):
             return False
         self.used[kind] = f"{source[0]}/{source[1]} {LAYOUTS[source[2]].name}"
@@ -238,6 +252,25 @@ class External:
         std = least + (most - least) * (1.0 - m.confidence / _SURE)
         t_ns -= 500 * m.time_delta_usec
         return _velocity(t_ns, velocity, _DOWN, std, is_level=False)
+
+    def _range(self, m: Any, t_ns: int) -> Measurements:
+        """Read RANGING_BEACON; without an altitude above the sea the configuration has the place.
+
+        Source: MAVLink's dialect ``development``.
+        """
+        if m.status & _POOR:
+            return self._context.refuse("range to an anchor: a poor signal, its radio says")
+        if m.range in (0, _UNKNOWN_MM):
+            return []
+        place = None
+        is_stated = _UNKNOWN_DEGE7 not in (m.lat, m.lon) and math.isfinite(m.alt)
+        if is_stated and m.alt_type == _ABOVE_SEA:
+            place = math.radians(m.lat * 1e-7), math.radians(m.lon * 1e-7), m.alt
+        is_known = m.range_accuracy not in (0, _UNKNOWN_MM)
+        std = m.range_accuracy * 1e-3 if is_known else None
+        return [
+            AnchorSample(t_ns=t_ns, range=m.range * 1e-3, anchor=m.beacon_id, std=std, place=place)
+        ]
 
     def _pose_of(
         self,
