@@ -45,9 +45,14 @@ class Ranged:
         self.t = (self.t_ns - self.first_ns) * 1e-9
         self.anchor = np.arange(len(self.t_ns)) % len(PLACES)
         self.rng = np.random.default_rng(seed)
-        tag = np.stack([np.interp(self.t_ns, self.truth_ns, one) for one in self.pos.T], axis=1)
+        self.ranges = self.ranged(0.0)
+
+    def ranged(self, late):
+        """Return the ranges of so long ago, s."""
+        then_ns = self.t_ns - round(late * 1e9)
+        tag = np.stack([np.interp(then_ns, self.truth_ns, one) for one in self.pos.T], axis=1)
         exact = np.linalg.norm(tag - PLACES[self.anchor], axis=1)
-        self.ranges = exact + BIAS + self.rng.normal(0.0, 0.07, len(exact))
+        return exact + BIAS + self.rng.normal(0.0, 0.07, len(exact))
 
     def fly(self, ranges, places=PLACES, settings=None, last_fix=LAST_FIX, **known):
         """Return the pipeline and, from 20 s on, the errors and their sigmas.
@@ -142,6 +147,16 @@ def test_a_frame_that_is_turned_is_found_beside_the_receiver_and_named():
     assert (np.abs(error) / std).max() < 4.0
     (said,) = pipeline.health().oddities
     assert said.startswith("anchors: all of them are turned by -6 deg")
+
+
+@pytest.mark.parametrize("last_fix", [LAST_FIX, np.inf], ids=["gone", "with a receiver"])
+@pytest.mark.parametrize("late", [0.1, 0.3])
+def test_a_delay_is_found(late, last_fix):
+    one = ranged("figure-eight")
+    moved = PLACES + np.array([4.0, -3.0, 0.0])
+    pipeline, error, std = one.fly(one.ranged(late), moved, last_fix=last_fix, **SURVEYED)
+    assert pipeline.filter_state.anchor_range_delay == pytest.approx(late, abs=0.02)
+    assert (np.abs(error) / std).max() < 4.0
 
 
 def test_a_frame_that_is_right_is_not_named_and_the_sigma_is_that_of_the_receiver():
@@ -297,9 +312,10 @@ def in_the_room(*sensors, moved=(), calibrated=(), begin=10.0):
             anchors=tuple(map(tuple, known)),
             places="geodetic",
             lever_arm=(-0.012, -0.001, -0.091),
-            # the motion capture that is the truth has measured them
+            # the motion capture that is the truth has measured them, the board itself ranges
             frame_std=0.0,
             frame_yaw_std=0.0,
+            delay_std=0.0,
             biases=calibrated,
             **({"bias_std": 0.03, "spread_std": 0.01} if calibrated else {}),
         ),

@@ -3,8 +3,9 @@
 All ranges share a slow error, the delay of the tag's electronics, and those of an anchor another:
 its own delay, and how far it is from where it is taken to be among the others. Where all of them
 are on the Earth is known no better than they were surveyed: the place of their frame, and its yaw
-about where the ranges began, are slow errors too. What comes a detour is too long, for as long as
-something stands between: so a range counts the less the further off it is.
+about where the ranges began, are slow errors too, and so is how late all ranges are. What comes a
+detour is too long, for as long as something stands between: so a range counts the less the further
+off it is.
 
 Source: Groves 2013, section 9.4; the weight is that of a Cauchy distribution (Huber 1981).
 """
@@ -38,7 +39,8 @@ BIAS_STD = cython.declare(cython.int, 0)
 SPREAD_STD = cython.declare(cython.int, 1)
 FRAME_STD = cython.declare(cython.int, 2)
 FRAME_YAW_STD = cython.declare(cython.int, 3)
-LEVER_ARM = cython.declare(cython.int, 4)
+DELAY_STD = cython.declare(cython.int, 4)
+LEVER_ARM = cython.declare(cython.int, 5)
 """Places of the settings."""
 NEAR = cython.declare(cython.double, 0.1)
 """Least distance at which the direction to an anchor is one, m."""
@@ -54,6 +56,7 @@ ANCHORS = cython.declare(cython.int, 8)
 """Anchors, from 0 on, that have a slow error of their own."""
 E_FRAME = cython.declare(cython.int, E_ANCHOR_RANGE + 9)
 E_YAW = cython.declare(cython.int, E_ANCHOR_RANGE + 12)
+E_LATE = cython.declare(cython.int, E_ANCHOR_RANGE + 13)
 
 
 @aid(
@@ -89,6 +92,7 @@ class AnchorRange:
     frame_east = SlowError("m", walk=None, speed_walk=None)
     frame_down = SlowError("m", walk=None, speed_walk=None)
     frame_yaw = SlowError("rad", walk=None, speed_walk=None)
+    delay = SlowError("s", walk=None, speed_walk=None)
     pivot = Kept("m", 2)
 
 
@@ -131,12 +135,13 @@ def begin(x: State, k: Parameters, row: Vector) -> bool:
         return False
     s = address(k.aid[AID_ANCHOR_RANGE])
     value = errors(x)
-    for e in range(E_ANCHOR_RANGE, E_YAW + 1):
+    for e in range(E_ANCHOR_RANGE, E_LATE + 1):
         value[e - E_VEL] = 0.0
     reset_variance(x, E_ANCHOR_RANGE, 1, s.own[BIAS_STD] * s.own[BIAS_STD])
     reset_variance(x, E_ANCHOR_RANGE + 1, ANCHORS, s.own[SPREAD_STD] * s.own[SPREAD_STD])
     reset_variance(x, E_FRAME, 3, s.own[FRAME_STD] * s.own[FRAME_STD])
     reset_variance(x, E_YAW, 1, s.own[FRAME_YAW_STD] * s.own[FRAME_YAW_STD])
+    reset_variance(x, E_LATE, 1, s.own[DELAY_STD] * s.own[DELAY_STD])
     for i in range(2):
         x.anchor_range_pivot[i] = x.pos_n[i]
     return True
@@ -157,7 +162,7 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
         o.arm_n[i] = 0.0
         for j in range(3):
             o.arm_n[i] += o.C_nb[i][j] * s.own[LEVER_ARM + j]
-        o.y[i] = x.pos_n[i] + o.arm_n[i] - o.gain[i]
+        o.y[i] = x.pos_n[i] - x.anchor_range_delay * x.vel_n[i] + o.arm_n[i] - o.gain[i]
         square += o.y[i] * o.y[i]
     far = sqrt(square)
     if not far > NEAR:  # nor where its place is not known
@@ -174,6 +179,8 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
         o.y[i] /= far
         o.H[0][E_POS + i] = o.y[i]
         o.H[0][E_FRAME + i] = -o.y[i]
+        o.H[0][E_VEL + i] = -x.anchor_range_delay * o.y[i]
+        o.H[0][E_LATE] -= o.y[i] * x.vel_n[i]
     north = o.gain[0] - x.anchor_range_pivot[0] - x.anchor_range_frame_north
     east = o.gain[1] - x.anchor_range_pivot[1] - x.anchor_range_frame_east
     o.H[0][E_YAW] = o.y[0] * east - o.y[1] * north

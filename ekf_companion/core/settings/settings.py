@@ -385,6 +385,8 @@ class AnchorRangeSettings:
     position is no surer than that, or than the receiver. 0: exactly there, whatever it says."""
     frame_yaw_std: Annotated[NotNegative, Setting("rad", reload=True)] = 0.05
     """One sigma of how they are turned about the vertical: north by a compass in the hand."""
+    delay_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.1
+    """One sigma of how much later than ``delay`` the ranges are, as of visual_velocity; 0: none."""
     walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.005
     """Random walk of these errors."""
     lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
