@@ -28,8 +28,8 @@ MISSING = {
 }
 """Messages of the common definitions that no packaged dialect has."""
 NEWER = {number: development.mavlink_map[number] for number in (441, 513)}
-"""Which autopilots and others know beside that dialect, and only ``development`` has: GNSS_INTEGRITY,
-and RANGING_BEACON, a range to an anchor."""
+"""Which others know beside that dialect, and only ``development`` has: GNSS_INTEGRITY, and
+RANGING_BEACON, a range to an anchor."""
 
 
 def definitions() -> str:

@@ -36,7 +36,7 @@ ODOMETRY = {
     "quality": 90,
 }
 
-TIME_USEC = ("ODOMETRY", "ATT_POS_MOCAP", "RANGING_BEACON")
+TIME_USEC = ("ODOMETRY", "ATT_POS_MOCAP", "RANGING_BEACON", "VISION_POSITION_DELTA")
 RANGE = {
     "beacon_id": 3,
     "range": 12_345,
