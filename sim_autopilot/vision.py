@@ -127,7 +127,9 @@ class VisionSource(Component):
             fields = {"usec": stamp_us, "covariance": [_VARIANCE, 0, 0, 0, _VARIANCE, 0, 0, 0, 0]}
         elif self._message == "VISION_POSITION_DELTA":
             travelled = self._travelled(stamp_us, pos_f, so3.from_euler(*euler))
-            return travelled and self._sender.message(self._message, **travelled)
+            if travelled is None:
+                return None
+            return self._sender.message(self._message, **travelled)
         else:
             angles = dict(zip(("roll", "pitch", "yaw"), euler.tolist(), strict=True))
             fields = {"usec": stamp_us, **angles, "covariance": covariance}
