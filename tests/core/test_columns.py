@@ -10,7 +10,7 @@ from ekf_companion.core.memory.enums import E_DELAY, E_HEADING, E_POS, N
 from ekf_companion.core.memory.packing import pack, unpack
 from ekf_companion.core.memory.scratch import Motion
 from tests.core.interpreted import load
-from tests.core.states import array, some_parameters
+from tests.core.states import a_state, array, some_parameters
 from tests.core.test_update import a_problem
 
 
@@ -118,7 +118,7 @@ def test_what_is_a_copy_of_another_error_owes_to_the_fault_what_that_does():
 
 def test_what_begins_and_ends_leaves_all_others_as_they_are():
     b, rng = Bank(), np.random.default_rng(2)
-    load().hypotheses.begin(b)
+    load().hypotheses.begin(a_state(2), b)
     expected = {}
     for step in range(400):
         if b.n and rng.random() < 0.4:

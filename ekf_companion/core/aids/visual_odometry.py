@@ -33,7 +33,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import (
     set_variance,
 )
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
-from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2, WITHOUT_FIX
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_POSITION,
     AID_VISUAL_ODOMETRY,
@@ -100,8 +100,6 @@ LEAP_YAW = cython.declare(cython.double, 0.2)
 """The same of yaw, rad."""
 LEAP_TIME = cython.declare(cython.double, 1e9)
 """Longest time between them in which ours is known so well, ns."""
-BESIDE_FIX = cython.declare(cython.double, 2e9)
-"""Time after the last fix that counted in which no pose is needed, ns, as of other aids."""
 LEAST_LEVEL = cython.declare(cython.double, 0.25)
 """Square of the cosine of the pitch below which yaw is not observed: 60 deg."""
 
@@ -469,7 +467,7 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
     if x.visual_odometry_contradicts != 0.0:
         return False
     keep(x, row)
-    if finds_delay(x, k, row) and x.t - x.used_t[AID_POSITION] < BESIDE_FIX:
+    if finds_delay(x, k, row) and x.t - x.used_t[AID_POSITION] < WITHOUT_FIX * 1e9:
         return False  # nobody knows yet whether it turns as we do, and nobody needs it
     write_ours(x, k)
     way_from(x, x.visual_odometry_pivot, row, o.y)

@@ -25,3 +25,5 @@ FADES = 60.0
 """Time constant with which it is forgotten that a source has failed, s."""
 SAME_CAUSE = 2.0
 """Time within which the refusals of two measurements of a receiver have one cause, s."""
+WITHOUT_FIX = 2.0
+"""Time without the receiver after which it neither speaks against an aid nor holds ours, s."""

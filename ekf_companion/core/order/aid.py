@@ -6,6 +6,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance, carry
 from cython.cimports.ekf_companion.core.filter.update import innovate
+from cython.cimports.ekf_companion.core.memory.constants import WITHOUT_FIX
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_POSITION,
@@ -37,8 +38,6 @@ MEMORY = cython.declare(cython.double, 20.0)
 """Measurements over which the share of the refused ones is formed."""
 HALF = cython.declare(cython.double, 0.5)
 """Share beyond which those that pass do so by chance."""
-ALONE = cython.declare(cython.double, 2.0)
-"""Time without the receiver after which it neither speaks against an aid nor holds ours, s."""
 STARTS = cython.declare(cython.double, 2.0)
 """Of what an aid shows: a position to start from."""
 WAIT_FOR_FIX = cython.declare(cython.double, 5e9)
@@ -71,7 +70,7 @@ def widen(x: State, k: Parameters, o: Observation, aid: int) -> None:
     Beside a receiver they are its. Else they owe to what is now contradicted by itself: their
     variances grow by the last normalised innovation squared (the ratio of Birge 1932).
     """
-    if not gate.is_timed_out(x, AID_POSITION, ALONE):
+    if not gate.is_timed_out(x, AID_POSITION, WITHOUT_FIX):
         return
     share = x.ratio[aid] * k.gate[o.rows - 1] / o.rows - 1.0
     if share > 0.0:
@@ -187,7 +186,7 @@ def is_persistent(x: State, k: Parameters, o: Observation, aid: int, nis: float)
     """
     patience = k.aid[aid].patience
     is_wrong = cython.declare(cython.bint, patience > 0.0 and x.doubtful[aid] > patience)
-    is_alone = cython.declare(cython.bint, gate.is_timed_out(x, AID_VELOCITY, ALONE))
+    is_alone = cython.declare(cython.bint, gate.is_timed_out(x, AID_VELOCITY, WITHOUT_FIX))
     if nis > k.soft_gate[o.rows - 1]:
         x.doubtful[aid] += 1.0
     elif not (is_wrong and is_alone and k.aid[aid].yields == 0.0):
@@ -197,7 +196,7 @@ def is_persistent(x: State, k: Parameters, o: Observation, aid: int, nis: float)
 
 def is_outvoted(x: State, k: Parameters, aid: int) -> bool:
     """Return whether the receiver's velocity, which comes, contradicts an aid's."""
-    if k.aid[aid].yields == 0.0 or x.t - x.fix_t > ALONE * 1e9:
+    if k.aid[aid].yields == 0.0 or x.t - x.fix_t > WITHOUT_FIX * 1e9:
         return False
     return x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY] or x.doubt > DOUBTED
 

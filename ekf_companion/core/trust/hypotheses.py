@@ -79,7 +79,7 @@ fixes; a compass at 50 Hz says little more. They correct the state, and so the c
 same."""
 
 
-def begin(b: Bank) -> None:
+def begin(x: State, b: Bank) -> None:
     """Begin with no instance."""
     b.n = 0
     b.pairs = 0
@@ -96,7 +96,7 @@ def begin(b: Bank) -> None:
         b.weighed_t[aid] = NEVER
         if not b.common[aid] >= 1.0:
             b.common[aid] = 1.0
-    score.begin(b)
+    score.begin(x, b)
     delay_search.forget(b)
     columns.stand(b)
 
@@ -105,7 +105,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     """Weigh an observation as :func:`~.update.innovate` left it, before it corrects anything."""
     b = address(o.bank[0])
     if x.resets + 1.0 != b.resets or x.mode != MODE_NAVIGATE or x.needs_reset != 0.0:
-        begin(b)
+        begin(x, b)
         b.resets = x.resets + 1.0
     if x.mode != MODE_NAVIGATE or x.needs_reset != 0.0 or x.has_yaw == 0.0:
         return

@@ -34,14 +34,14 @@ HELD = cython.declare(cython.double, 1.2e9)
 next window has shown whether that was all."""
 
 
-def begin(b: Bank) -> None:
-    """Begin with the noise that is configured, or with what was learnt before.
+def begin(x: State, b: Bank) -> None:
+    """Begin with the usual noise, or with what was learnt before.
 
-    From the usual, smaller one no vibration could be learnt within seconds.
+    Who begins in motion has not felt yet how it shakes: with what is configured.
     """
     b.window_t = NEVER
     if b.information == 0.0:
-        b.log_share = 0.0
+        b.log_share = USUAL_LOG_SHARE if x.at_rest != 0.0 else 0.0
 
 
 def add_to_window(b: Bank, first: int, o: Observation) -> None:
