@@ -74,9 +74,9 @@ ANY = cython.declare(cython.double, 1e8)
 LEAST = cython.declare(cython.double, 1e-300)
 """Least odds of nothing beside the most probable fault."""
 SPACING = cython.declare(cython.double, 0.095e9)
-"""Least time between two readings of one aid that are weighed, ns: as often as the usual receiver's
-fixes; a compass at 50 Hz says little more. They correct the state, and so the columns, all the
-same."""
+"""Least time between two readings of one aid that are weighed, ns: a compass at 50 Hz says little
+more than at 10; with 5 a barometer's step was missed in a report. They correct the state, and so
+the columns, all the same."""
 
 
 def begin(x: State, b: Bank) -> None:
