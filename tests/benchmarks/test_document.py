@@ -6,13 +6,13 @@ from benchmarks import campaign
 from benchmarks.accuracy import __main__ as accuracy
 from benchmarks.accuracy import compassless
 from benchmarks.document import main
-from benchmarks.truth.__main__ import MARK
+from benchmarks.truth.__main__ import MARKS
 from tests.paths import ROOT
 
 
 def test_each_table_has_its_place_in_one_page():
     pages = [page.read_text("utf-8") for page in (ROOT / "docs" / "accuracy").glob("*.md")]
-    for name in (*accuracy.PARTS, MARK):
+    for name in (*accuracy.PARTS, *MARKS):
         assert sum(f"<!-- {name} -->\n" in page for page in pages) == 1, name
 
 
