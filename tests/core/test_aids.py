@@ -1,13 +1,15 @@
 """What every aid that declares itself has to keep: bounds, Jacobian, first reading, words."""
 
+import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
 
 from ekf_companion.core.memory.aid import BY_KIND, DECLARED, SlowError, Value, aid, declared_in
 from ekf_companion.core.memory.enums import SLOW_ERRORS, Aid, Mode, N
-from ekf_companion.core.memory.overlay import errors
+from ekf_companion.core.memory.overlay import as_parameters, errors
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Observation
 from ekf_companion.core.order.timeline import Timeline
@@ -19,6 +21,7 @@ from ekf_companion.status.aids import sources_of
 from tests.core.interpreted import load
 from tests.core.jacobian import check
 from tests.core.states import a_state, array, some_parameters
+from tests.paths import ROOT
 
 OFF = (Kind.POSE, Kind.VELOCITY)
 """Of which nobody can say whether GNSS is in them: off unless told."""
@@ -169,6 +172,22 @@ def test_the_class_of_an_aid_is_read_as_it_is_compiled():
         found = next(c.found for c in vars(module).values() if hasattr(c, "found"))
         assert found == one
         assert all(isinstance(error, SlowError) for error in one.slow_errors.values())
+
+
+@ALL
+def test_its_file_finds_each_of_its_own_settings_where_the_kernel_has_it(aid):
+    text = (ROOT / "ekf_companion/core/aids" / f"{aid.name}.py").read_text(encoding="utf-8")
+    places = re.findall(r"^([A-Z_]+) = cython.declare\(cython\.\w+, (\d+)\)$", text, re.M)
+    places = {name: int(place) for name, place in places}
+    for name in set(re.findall(r"\bown\[([A-Z_]+)", text)):
+        usual = getattr(FilterSettings(), aid.name)
+        old = getattr(usual, name.lower())
+        new = (7.25, 7.5, 7.75) if isinstance(old, tuple) else 7.25
+        changed = dataclasses.replace(usual, **{name.lower(): new})
+        settings = dataclasses.replace(FilterSettings(), **{aid.name: changed})
+        k = as_parameters(parameters(settings, "unknown"))
+        found = np.array(k.aid[number_of(aid)].own)[places[name] :]
+        assert found[: np.size(new)].tolist() == np.atleast_1d(new).tolist(), name
 
 
 def test_no_name_is_declared_twice(tmp_path):

@@ -58,7 +58,7 @@ E_LATE = cython.declare(cython.int, E_VISUAL_ODOMETRY + 5)
 YAW_STD = cython.declare(cython.int, 0)
 SCALE_STD = cython.declare(cython.int, 1)
 DELAY_STD = cython.declare(cython.int, 3)
-ARM = cython.declare(cython.int, 4)
+LEVER_ARM = cython.declare(cython.int, 4)
 TIMING_STD = cython.declare(cython.int, 7)
 """Places of its own settings."""
 DRIFT = cython.declare(cython.Py_ssize_t, 7)
@@ -343,9 +343,9 @@ def write_arm(x: State, k: Parameters, arm: Vector) -> None:
     """Write the lever arm in n, m."""
     own = k.aid[AID_VISUAL_ODOMETRY].own
     q = x.q_nb
-    lx = own[ARM]
-    ly = own[ARM + 1]
-    lz = own[ARM + 2]
+    lx = own[LEVER_ARM]
+    ly = own[LEVER_ARM + 1]
+    lz = own[LEVER_ARM + 2]
     # v + 2 q x (q x v + w v)
     cx = q[2] * lz - q[3] * ly + q[0] * lx
     cy = q[3] * lx - q[1] * lz + q[0] * ly

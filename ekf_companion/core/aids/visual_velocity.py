@@ -36,10 +36,10 @@ from ekf_companion.nav.measurements import Kind
 
 E_SCALE = cython.declare(cython.int, E_VISUAL_VELOCITY + 1)
 E_LATE = cython.declare(cython.int, E_VISUAL_VELOCITY + 2)
-FRAME_STD = cython.declare(cython.int, 0)
+YAW_STD = cython.declare(cython.int, 0)
 SCALE_STD = cython.declare(cython.int, 1)
 DELAY_STD = cython.declare(cython.int, 3)
-ARM = cython.declare(cython.int, 4)
+LEVER_ARM = cython.declare(cython.int, 4)
 TIMING_STD = cython.declare(cython.int, 7)
 """Places of its own settings."""
 BESIDE_POSE = cython.declare(cython.double, 1e9)
@@ -83,7 +83,7 @@ def begin(x: State, k: Parameters, row: Vector) -> bool:
         x.visual_velocity_frame_yaw = 0.0
         x.visual_velocity_scale = 0.0
         x.visual_velocity_delay = 0.0
-        reset_variance(x, E_VISUAL_VELOCITY, 1, own[FRAME_STD] * own[FRAME_STD])
+        reset_variance(x, E_VISUAL_VELOCITY, 1, own[YAW_STD] * own[YAW_STD])
         reset_variance(x, E_SCALE, 1, own[SCALE_STD] * own[SCALE_STD])
         reset_variance(x, E_LATE, 1, own[DELAY_STD] * own[DELAY_STD])
     elif x.P[E_SCALE][E_SCALE] < 0.5 * x.visual_velocity_learnt[1]:
@@ -124,9 +124,9 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
         w[i] = x.gyro[i] - x.gyro_bias[i]
         x.visual_velocity_then[i] = x.vel_n[i] - o.then.since[i]
     # what the sensor has from the turn
-    x.visual_velocity_arm[0] = w[1] * own[ARM + 2] - w[2] * own[ARM + 1]
-    x.visual_velocity_arm[1] = w[2] * own[ARM] - w[0] * own[ARM + 2]
-    x.visual_velocity_arm[2] = w[0] * own[ARM + 1] - w[1] * own[ARM]
+    x.visual_velocity_arm[0] = w[1] * own[LEVER_ARM + 2] - w[2] * own[LEVER_ARM + 1]
+    x.visual_velocity_arm[1] = w[2] * own[LEVER_ARM] - w[0] * own[LEVER_ARM + 2]
+    x.visual_velocity_arm[2] = w[0] * own[LEVER_ARM + 1] - w[1] * own[LEVER_ARM]
     if row[4] == 1.0:
         observe_in_frame(x, k, o, row)
     else:
@@ -154,9 +154,9 @@ def observe_in_body(x: State, k: Parameters, o: Observation, row: Vector) -> Non
         o.H[1][E_VEL + j] = o.C_nb[j][1] + d * (w[2] * o.C_nb[j][0] - w[0] * o.C_nb[j][2])
         o.H[2][E_VEL + j] = o.C_nb[j][2] + d * (w[0] * o.C_nb[j][1] - w[1] * o.C_nb[j][0])
         o.y[j] = o.C_nb[0][j] * v[0] + o.C_nb[1][j] * v[1] + o.C_nb[2][j] * v[2]
-    a0 = d * o.y[0] + own[ARM]
-    a1 = d * o.y[1] + own[ARM + 1]
-    a2 = d * o.y[2] + own[ARM + 2]
+    a0 = d * o.y[0] + own[LEVER_ARM]
+    a1 = d * o.y[1] + own[LEVER_ARM + 1]
+    a2 = d * o.y[2] + own[LEVER_ARM + 2]
     o.H[0][E_BG + 1] = -a2
     o.H[0][E_BG + 2] = a1
     o.H[1][E_BG] = a2
@@ -196,9 +196,9 @@ def observe_in_frame(x: State, k: Parameters, o: Observation, row: Vector) -> No
         for j in range(3):
             a[i] += o.C_nb[i][j] * x.visual_velocity_arm[j]
         # the gyro's bias turns the lever arm: C (l x bg)
-        o.H[i][E_BG] = o.C_nb[i][1] * own[ARM + 2] - o.C_nb[i][2] * own[ARM + 1]
-        o.H[i][E_BG + 1] = o.C_nb[i][2] * own[ARM] - o.C_nb[i][0] * own[ARM + 2]
-        o.H[i][E_BG + 2] = o.C_nb[i][0] * own[ARM + 1] - o.C_nb[i][1] * own[ARM]
+        o.H[i][E_BG] = o.C_nb[i][1] * own[LEVER_ARM + 2] - o.C_nb[i][2] * own[LEVER_ARM + 1]
+        o.H[i][E_BG + 1] = o.C_nb[i][2] * own[LEVER_ARM] - o.C_nb[i][0] * own[LEVER_ARM + 2]
+        o.H[i][E_BG + 2] = o.C_nb[i][0] * own[LEVER_ARM + 1] - o.C_nb[i][1] * own[LEVER_ARM]
         o.H[i][E_VEL + i] = 1.0
         o.H[i][E_LATE] = -o.then.accel_n[i]
         u = x.visual_velocity_then[i] + a[i]

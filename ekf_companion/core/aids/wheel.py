@@ -36,7 +36,7 @@ from ekf_companion.nav.measurements import Kind
 SLIP = cython.declare(cython.Py_ssize_t, 0)
 """Places of the settings."""
 ACROSS = cython.declare(cython.Py_ssize_t, 1)
-ARM = cython.declare(cython.Py_ssize_t, 2)
+LEVER_ARM = cython.declare(cython.Py_ssize_t, 2)
 YAW = cython.declare(cython.Py_ssize_t, 5)
 INTERVAL = cython.declare(cython.double, 1e9)
 """Of readings whose noise is as it is set, ns: what slips does so for a second or so."""
@@ -133,7 +133,7 @@ def arm_velocity(x: State, k: Parameters, axis: int) -> float:
     arm = k.aid[AID_WHEEL].own
     rate_i = x.gyro[i] - x.gyro_bias[i]
     rate_j = x.gyro[j] - x.gyro_bias[j]
-    return rate_i * arm[ARM + j] - rate_j * arm[ARM + i]
+    return rate_i * arm[LEVER_ARM + j] - rate_j * arm[LEVER_ARM + i]
 
 
 def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
@@ -173,9 +173,9 @@ def observe(x: State, k: Parameters, o: Observation, row: Vector) -> bool:
         o.H[r][E_ATT + 2] = scale * (n * ve - e * vn)
         # a gyro bias is a turn that is none: axis x arm
         arm = k.aid[AID_WHEEL].own
-        o.H[r][E_BG] = scale * (right * arm[ARM + 2] - below * arm[ARM + 1])
-        o.H[r][E_BG + 1] = scale * (below * arm[ARM] - ahead * arm[ARM + 2])
-        o.H[r][E_BG + 2] = scale * (ahead * arm[ARM + 1] - right * arm[ARM])
+        o.H[r][E_BG] = scale * (right * arm[LEVER_ARM + 2] - below * arm[LEVER_ARM + 1])
+        o.H[r][E_BG + 1] = scale * (below * arm[LEVER_ARM] - ahead * arm[LEVER_ARM + 2])
+        o.H[r][E_BG + 2] = scale * (ahead * arm[LEVER_ARM + 1] - right * arm[LEVER_ARM])
     speed = o.y[0]
     turning = SLIP_BY_FORCE * speed * (x.gyro[2] - x.gyro_bias[2]) * speed
     o.z[0] += row[0]

@@ -35,10 +35,9 @@ def unpack(packed: Array) -> Array:
     banks: Any = as_banks(numbers[None])
     bank = banks[0]
     counts = bank.n, bank.pairs, bank.triples
-    size = bank_size(bank) if head == AT or len(packed) >= Bank.instance.offset // 8 else 0
-    if not INSTANCES >= bank.n >= bank.pairs >= bank.triples >= 0 or len(packed) != size + N * sum(
-        counts
-    ):
+    size = bank_size(bank)
+    is_whole = len(packed) == size + N * sum(counts)
+    if not (INSTANCES >= bank.n >= bank.pairs >= bank.triples >= 0 and is_whole):
         raise ValueError(f"{len(packed)} numbers are no bank of fault hypotheses")
     numbers[size:head] = 0.0
     U = numbers[AT : AT + 3 * N * INSTANCES].reshape(3, N, INSTANCES)
