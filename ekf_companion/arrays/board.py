@@ -20,12 +20,12 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.relative_pose import UPPER, square
 
 FrameName = Literal["LOCAL_NED", "LOCAL_ENU", "LOCAL_FRD", "LOCAL_FLU"]
 _FRAMES = {"LOCAL_NED": 1, "LOCAL_ENU": 4, "LOCAL_FRD": 20, "LOCAL_FLU": 21}
 """MAV_FRAME."""
 _BODY_FRD, _VIO = 12, 3
-_TRIANGLE = np.triu_indices(6)
 _ODOMETRY, _ORIGIN = IDS["ODOMETRY"], IDS["GPS_GLOBAL_ORIGIN"]
 _UNKNOWN = (math.nan,) * 3
 _LARGEST = 65536
@@ -236,7 +236,7 @@ def _triangle(name: str, covariance: Any) -> list[float]:
         raise DataError(f"{name}: is not symmetric, or has a negative variance")
     whole = np.full((6, 6), math.nan)
     whole[: len(given), : len(given)] = given
-    triangle: list[float] = whole[_TRIANGLE].tolist()
+    triangle: list[float] = whole[UPPER].tolist()
     return triangle
 
 
@@ -248,15 +248,8 @@ def _estimate(m: Any, received_ns: int) -> BoardEstimate:
         q_nb=np.array(m.q),
         vel_b=np.array([m.vx, m.vy, m.vz]),
         rate_b=np.array([m.rollspeed, m.pitchspeed, m.yawspeed]),
-        pose_covariance=_symmetric(m.pose_covariance),
-        velocity_covariance=_symmetric(m.velocity_covariance),
+        pose_covariance=square(np.array(m.pose_covariance)),
+        velocity_covariance=square(np.array(m.velocity_covariance)),
         resets=m.reset_counter,
         quality=m.quality,
     )
-
-
-def _symmetric(triangle: Sequence[float]) -> Array:
-    whole: Array = np.zeros((6, 6))
-    whole[_TRIANGLE] = triangle
-    whole.T[_TRIANGLE] = triangle
-    return whole

@@ -1,7 +1,7 @@
-"""How the covariance of a relative pose is written: rows of files have it as an upper triangle.
+"""How the covariance of a pose is written: files and messages have it as an upper triangle.
 
-Its error is that of the position (m) in the earlier body and a rotation vector (rad) of the later
-one.
+The error of a relative one is that of the position (m) in the earlier body and a rotation vector
+(rad) of the later one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LEVEL = "sigma_level_rad"
 
 
 def square(rows: Array) -> Array:
-    """Return covariances of their upper triangles, shape (n, 6, 6)."""
-    P = np.empty((len(rows), 6, 6))
-    P[:, UPPER[0], UPPER[1]] = P[:, UPPER[1], UPPER[0]] = rows
+    """Return covariances, shape (..., 6, 6), of their upper triangles, shape (..., 21)."""
+    P = np.empty((*rows.shape[:-1], 6, 6))
+    P[..., UPPER[0], UPPER[1]] = P[..., UPPER[1], UPPER[0]] = rows
     return P
