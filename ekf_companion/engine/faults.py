@@ -54,6 +54,13 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
     Fault.HALT_BARO: ("barometer slides no more, by {:.0f} % of its rate", 100.0),
     Fault.FADE: ("GNSS position settles again, by {:.0f} % of its error", 100.0),
     Fault.FADE_HEIGHT: ("GNSS height settles again, by {:.0f} % of its error", 100.0),
+    Fault.POSITION_WILD: ("GNSS position erratic", 1.0),
+    Fault.RECEIVER_WILD: ("GNSS position and velocity erratic", 1.0),
+    Fault.VELOCITY_WILD: ("GNSS velocity erratic", 1.0),
+    Fault.CLIMB_WILD: ("GNSS vertical velocity erratic", 1.0),
+    Fault.HEIGHT_WILD: ("GNSS height erratic", 1.0),
+    Fault.FALL_WILD: ("GNSS height and vertical velocity erratic", 1.0),
+    Fault.BARO_WILD: ("barometer erratic", 1.0),
 }
 """What each is called, and its size in the unit of the words."""
 
@@ -97,6 +104,12 @@ ENDS = (
 OF_ONE_SIZE = (Fault.DELAY, Fault.FADE, Fault.FADE_HEIGHT)
 """Their other component is no part of the size: what a delay is about, how fast it fades."""
 
+OF_NO_SIZE = (
+    *(Fault.POSITION_WILD, Fault.RECEIVER_WILD, Fault.VELOCITY_WILD, Fault.BARO_WILD),
+    *(Fault.CLIMB_WILD, Fault.HEIGHT_WILD, Fault.FALL_WILD),
+)
+"""What is wrong in no shape has none."""
+
 
 class FoundFault(NamedTuple):
     """A fault that was beyond doubt, of constant size since its onset."""
@@ -121,12 +134,16 @@ class FoundFault(NamedTuple):
     @property
     def components(self) -> int:
         """How many numbers its size has."""
+        if self.kind in OF_NO_SIZE:
+            return 0
         return 1 if self.kind in OF_ONE_SIZE else FAULTS[self.kind].rows
 
     @property
     def size_words(self) -> tuple[str, str]:
         """What it is with its size, and one sigma of that in the same unit."""
         text, scale = WORDS[self.kind]
+        if not self.components:
+            return text, ""
         parts = self.size[: self.components]
         size = float(np.linalg.norm(parts))
         # of the size along the fault

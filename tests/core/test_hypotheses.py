@@ -8,7 +8,7 @@ import pytest
 from ekf_companion.core.memory.enums import Fault, Source
 from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
-from ekf_companion.engine.faults import WORDS
+from ekf_companion.engine.faults import OF_NO_SIZE, WORDS
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import SIGMA
@@ -190,6 +190,50 @@ def test_a_descent_of_the_receiver_alone_is_no_fault_of_the_barometer(seed):
     sources = {FAULTS[fault.kind].source for fault in one.found_faults()}
     assert sources <= {Source.HEIGHT, Source.CLIMB, Source.FALL}
     assert abs(wrong[5] - right[5]) < max(3.0 * wrong[25], 2.0)
+
+
+def erratic(events: Events, seed: int, axes: tuple[int, ...], *, follows: bool) -> Events:
+    """Return a flight whose receiver's velocity wanders by 4 m/s within a second, and goes nowhere.
+
+    Its position follows, or does not.
+    """
+    rng = np.random.default_rng(seed)
+    rows = np.flatnonzero((events.kind == Kind.GNSS) & between(events, BEGIN, END))
+    dt = np.diff(events.t_ns[rows], prepend=events.t_ns[rows[0]]) * 1e-9
+    values = events.values.copy()
+    for axis in axes:
+        wander = np.zeros(len(rows))
+        for i in range(1, len(rows)):
+            kept = np.exp(-dt[i])
+            wander[i] = kept * wander[i - 1] + 4.0 * np.sqrt(1.0 - kept**2) * rng.normal()
+        way = np.cumsum(wander * dt)
+        values[rows, 3 + axis] += wander
+        if follows:
+            values[rows, axis] += way * METRE if axis < 2 else -way
+    return Events(t_ns=events.t_ns, kind=events.kind, values=values)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("name", ["figure-eight", "hover"])
+@pytest.mark.parametrize(
+    ("axes", "follows"),
+    [((0, 1), False), ((2,), False), ((2,), True)],
+    ids=["velocity", "climb", "height"],
+)
+def test_what_is_wrong_in_no_shape_leads_nowhere(name, axes, follows, seed):
+    """And nobody else is blamed for it."""
+    events, _ = flight(name, END + 20.0, seed=seed)
+    right = pipeline("act").run(events).values
+    one = pipeline("act")
+    wrong = one.run(erratic(events, seed, axes, follows=follows)).values
+    kinds = {fault.kind for fault in one.found_faults()}
+    assert kinds & set(OF_NO_SIZE)
+    receiver = {Source.POSITION, Source.DRAG, Source.VELOCITY}
+    receiver |= {Source.CLIMB, Source.HEIGHT, Source.FALL}
+    assert {FAULTS[kind].source for kind in kinds} <= receiver
+    off = np.abs(wrong[:, 3:6] - right[:, 3:6])
+    assert np.nanmax(off) < 6.0
+    assert np.all(off[-1] < np.maximum(5.0 * wrong[-1, 23:26], 2.0))
 
 
 @pytest.mark.parametrize("seed", [1, 2])

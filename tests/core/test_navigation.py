@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ekf_companion.core.memory.bank import Bank
 from ekf_companion.core.memory.enums import (
     AIDS,
     CORE,
@@ -137,6 +138,20 @@ def test_a_given_origin_and_slow_error_are_gone_on_from():
     antenna = np.array(x.pos_n) + so3.rotate(np.array(x.q_nb), ARM)
     fixed = frame.to_ned(w.fix.lat, w.fix.lon, w.fix.alt)
     np.testing.assert_allclose(antenna, fixed - offset, atol=1e-8)
+
+
+@pytest.mark.parametrize(("variance", "is_doubted"), [(0.0, True), (1e6, False)])
+def test_a_jump_beyond_what_is_known_may_be_the_receiver_s_as_well_as_ours(variance, is_doubted):
+    x, w, k = flown(), scratch(), settings()
+    array(x.P)[[E_POS, E_POS + 1, E_POS + 2], [E_POS, E_POS + 1, E_POS + 2]] += variance
+    o = w.observation
+    o.has_bank, o.bank = 1, (Bank * 1)()
+    level = innovation(x, w, "position") if is_doubted else np.zeros(2)
+    height = innovation(x, w, "height") if is_doubted else np.zeros(1)
+    load().navigation.doubt_jump(x, k, w)
+    half = [0.5 * level @ level, 0.5 * height @ height]
+    np.testing.assert_allclose(o.bank[0].let_go, half)
+    np.testing.assert_allclose(x.gnss_offset_var, np.add([0.5, 2.0], half))
 
 
 @pytest.mark.parametrize(("at_rest", "proving"), [(0.0, 2.5e9), (1.0, 0.0)])

@@ -10,6 +10,7 @@ from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.engine.faults import (
     ENDS,
+    OF_NO_SIZE,
     OF_ONE_SIZE,
     SOURCES,
     WORDS,
@@ -87,7 +88,18 @@ def test_a_source_that_is_hardly_wrong_is_left_out():
     assert by_source(probabilities(baro=0.25, height=0.0005)) == {"baro": 0.25}
 
 
-@pytest.mark.parametrize("kind", list(WORDS))
+@pytest.mark.parametrize("kind", OF_NO_SIZE)
+def test_what_is_erratic_has_no_size(kind):
+    one = FoundFault(kind, 10**10, 2 * 10**10, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 12.0)
+    words, sigma = one.size_words
+    assert words.endswith(" erratic")
+    assert sigma == ""
+    assert one.words(5 * 10**9) == f"{words}, 5 to 15 s"
+    found = one.to_dict(0)
+    assert (found["size"], found["std"]) == ([], [])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in WORDS if kind not in OF_NO_SIZE])
 def test_each_fault_says_its_size_and_a_sigma_in_the_same_unit(kind):
     rows = 1 if kind in OF_ONE_SIZE else FAULTS[kind].rows
     size = [0.3, 0.4, 1.2][:rows] + [0.0] * (3 - rows)

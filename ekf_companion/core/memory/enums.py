@@ -165,41 +165,52 @@ class Fault(IntEnum):
     """Dynamic pressure: by the square of the speed."""
     BARO_SCALE = 16
     """By the height, from where that was when it began."""
-    ACCEL_STEP = 17
+    BARO_WILD = 17
+    """It is wrong in no shape."""
+    ACCEL_STEP = 18
     """The accelerometer's bias has changed."""
-    GYRO_STEP = 18
-    TILT = 19
+    GYRO_STEP = 19
+    TILT = 20
     """Our roll and pitch are off."""
-    YAW = 20
-    KICK = 21
+    YAW = 21
+    KICK = 22
     """Our velocity is off: a shock beyond what the samples show."""
-    FIELD = 22
+    FIELD = 23
     """A magnetic field beside the Earth's, fixed in n."""
-    BODY_FIELD = 23
+    BODY_FIELD = 24
     """The same, fixed in the vehicle."""
-    HEADING_STEP = 24
+    HEADING_STEP = 25
     """A heading of another source is off."""
-    DELAY = 25
+    DELAY = 26
     """The fixes are later than they are taken for."""
-    LEVER = 26
+    LEVER = 27
     """The antenna is elsewhere."""
-    RECOVERY = 27
+    RECOVERY = 28
     """Position and horizontal velocity are right again: what was declared of them has ended."""
-    RECOVERY_HEIGHT = 28
+    RECOVERY_HEIGHT = 29
     """Height and vertical velocity are."""
-    HALT = 29
+    HALT = 30
     """A declared slide of the position has ended where it was."""
-    HALT_HEIGHT = 30
-    HALT_BARO = 31
-    FADE = 32
+    HALT_HEIGHT = 31
+    HALT_BARO = 32
+    FADE = 33
     """What was declared of the position fades, as a receiver settles again."""
-    FADE_HEIGHT = 33
-    SETTLE = 34
+    FADE_HEIGHT = 34
+    POSITION_WILD = 35
+    """It is wrong in no shape: no reading says anything of the next one."""
+    RECEIVER_WILD = 36
+    """Position and horizontal velocity are."""
+    VELOCITY_WILD = 37
+    CLIMB_WILD = 38
+    HEIGHT_WILD = 39
+    FALL_WILD = 40
+    """Height and vertical velocity are."""
+    SETTLE = 41
     """The position settles after the first fix, from which ours began."""
-    SETTLE_HEIGHT = 35
-    ACCEL_NOISE = 36
+    SETTLE_HEIGHT = 42
+    ACCEL_NOISE = 43
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 37
+    GYRO_NOISE = 44
 
 
 class Source(IntEnum):

@@ -79,6 +79,14 @@ FAULTS = {
     Fault.HALT_BARO: Prior(Source.BARO, 1, 0.02, 0.02, 60.0, RAMP, VERTICAL),
     Fault.FADE: Prior(Source.POSITION, 2, 0.02, 0.02, 60.0, RAMP, LEVEL),
     Fault.FADE_HEIGHT: Prior(Source.HEIGHT, 2, 0.02, 0.02, 60.0, RAMP, VERTICAL),
+    # what has no shape: a receiver among houses, a port in the wind; it has no size
+    Fault.POSITION_WILD: Prior(Source.POSITION, 1, 1.0, 1.0, 0.1, RAMP, LEVEL),
+    Fault.RECEIVER_WILD: Prior(Source.DRAG, 1, 1.0, 1.0, 0.1, RAMP, LEVEL),
+    Fault.VELOCITY_WILD: Prior(Source.VELOCITY, 1, 1.0, 1.0, 0.1, RAMP, LEVEL),
+    Fault.CLIMB_WILD: Prior(Source.CLIMB, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
+    Fault.HEIGHT_WILD: Prior(Source.HEIGHT, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
+    Fault.FALL_WILD: Prior(Source.FALL, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
+    Fault.BARO_WILD: Prior(Source.BARO, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
     # no fault: its share of the noise follows from what a second of it does
     Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
     Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),

@@ -13,7 +13,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import (
 )
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
-from cython.cimports.ekf_companion.core.memory.constants import UNKNOWN_ANGLE
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2, UNKNOWN_ANGLE
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -140,6 +140,8 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         cython.bint, x.mode == MODE_NAVIGATE and x.voices.is_rushing != 0.0
     )
     if k.weighs_faults == WEIGH_ACT:  # what was declared beside a wrong attitude may be its work
+        if x.mode == MODE_NAVIGATE:
+            doubt_jump(x, k, w)
         let_go(x, k, address(w.observation.bank[0]), address(w.observation))
     x.moved.yaw += yaw_reset.yaw_error(x)
     yaw_reset.take_attitude(x)
@@ -169,6 +171,26 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         x.moved.pos_n[2] += height - x.pos_n[2]
         x.pos_n[2] = height
         reset_variance(x, E_POS + 2, 1, height_var)
+
+
+def doubt_jump(x: State, k: Parameters, w: Scratch) -> None:
+    """Take as much of a jump that nothing explains for the receiver's error as for ours.
+
+    At a reset to a fix that is further off than what is known of both: nothing shows whose it is.
+    """
+    o = address(w.observation)
+    b = address(o.bank[0])
+    gnss.position(x, k, address(w.fix), o)
+    take_off(x, o, AID_POSITION)
+    if innovate(x, o) > 2.0 * THREE_SIGMA2:
+        for i in range(2):
+            b.let_go[0] += 0.5 * o.z[i] * o.z[i]
+            x.gnss_offset_var[0] += 0.5 * o.z[i] * o.z[i]
+    gnss.height(x, k, address(w.fix), o)
+    take_off(x, o, AID_HEIGHT)
+    if innovate(x, o) > THREE_SIGMA2:
+        b.let_go[1] += 0.5 * o.z[0] * o.z[0]
+        x.gnss_offset_var[1] += 0.5 * o.z[0] * o.z[0]
 
 
 def resume_after_gap(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None:

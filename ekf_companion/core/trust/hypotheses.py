@@ -21,10 +21,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import EVEN, FADES, NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
-    AID_BARO,
     AID_HEADING,
-    AID_HEIGHT,
-    AID_POSITION,
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
@@ -35,13 +32,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SHOWS_ALL,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
-    SOURCE_BARO,
-    SOURCE_CLIMB,
-    SOURCE_FALL,
-    SOURCE_HEIGHT,
+    SOURCE_DRAG,
     SOURCE_NOISE,
-    SOURCE_POSITION,
-    SOURCE_VELOCITY,
     SOURCES,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
@@ -118,10 +110,15 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     if is_weighed:
         onsets.begin_instances(x, k, b, o, aid)
         b.weighed_t[aid] = x.t
+    for r in range(o.rows):
+        b.group[r] = 1.0 if is_vertical(o, r) else 0.0
     columns.observe(b, o, carried(x))
     b.is_observed = 1
     for i in range(b.n):
         h = address(b.instance[i])
+        if shape.is_wild(h.kind):
+            undo(k, b, i, o, aid)
+            continue
         shape.find_direct(x, b, h, o, aid)
         for c in range(h.rows):
             for r in range(o.rows):
@@ -132,7 +129,6 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         b.rows[g] = 0.0
         b.work[g] = 0.0
     for r in range(o.rows):
-        b.group[r] = 1.0 if is_vertical(o, r) else 0.0
         g = 1 if b.group[r] != 0.0 else 0
         b.rows[g] += 1.0
         b.work[g] += o.y[r] * o.y[r]
@@ -146,6 +142,14 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     find_posterior(x, k, b)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         shape.keep_field_slope(b, o)
+
+
+def undo(k: Parameters, b: Bank, i: int, o: Observation, aid: int) -> None:
+    """Let what is wrong in no shape take back all that its source's rows correct."""
+    g = shape.rows_of(aid, k.fault[b.instance[i].kind].source)
+    for r in range(o.rows):
+        if g >= 0 and g == (1 if b.group[r] != 0.0 else 0):
+            b.T[0][r][i] = o.z[r]
 
 
 def cost(nis: float, rows: float) -> float:
@@ -163,6 +167,11 @@ def weigh_reading(
     the rows that are its own.
     """
     h = address(b.instance[i])
+    if shape.is_wild(h.kind):
+        g = shape.rows_of(aid, k.fault[h.kind].source)
+        if g >= 0 and b.rows[g] > 0.0:
+            h.evidence += 0.5 * share * (nothing[g] - OUTLIER_ROW * b.rows[g])
+        return
     to = address(b.trial)
     rows = h.rows
     shown = 0.0
@@ -307,25 +316,18 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
 
 
 def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
-    """Find how probable it is that the source of the level, and of the vertical rows is wrong."""
+    """Find how probable it is that the source of the level, and of the vertical rows is wrong.
+
+    As far as another one could contradict it: none a position and a velocity that are led away as if
+    the vehicle were.
+    """
     b.wrong[0] = 0.0
     b.wrong[1] = 0.0
     for i in range(b.n):
-        h = address(b.instance[i])
-        source = k.fault[h.kind].source
-        if aid == AID_VELOCITY:
-            if source == SOURCE_VELOCITY:
-                b.wrong[0] += h.p
-            elif source == SOURCE_CLIMB or source == SOURCE_FALL:
-                b.wrong[1] += h.p
-        elif aid == AID_POSITION:
-            if source == SOURCE_POSITION:
-                b.wrong[0] += h.p
-        elif aid == AID_HEIGHT:
-            if source == SOURCE_HEIGHT or source == SOURCE_FALL:
-                b.wrong[1] += h.p
-        elif aid == AID_BARO and source == SOURCE_BARO:
-            b.wrong[1] += h.p
+        kind = b.instance[i].kind
+        g = shape.rows_of(aid, k.fault[kind].source)
+        if g >= 0 and (k.fault[kind].source != SOURCE_DRAG or shape.is_wild(kind)):
+            b.wrong[g] += b.instance[i].p
 
 
 def explains(b: Bank) -> bool:

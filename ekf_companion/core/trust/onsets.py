@@ -23,13 +23,13 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
-    FAULT_BARO_SCALE,
     FAULT_BARO_STEP,
+    FAULT_BARO_WILD,
     FAULT_BODY_FIELD,
     FAULT_DELAY,
     FAULT_DRAG_RAMP,
-    FAULT_FADE_HEIGHT,
     FAULT_FALL_RAMP,
+    FAULT_FALL_WILD,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
@@ -82,7 +82,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
     if b.proven_t <= NEVER:
         b.proven_t = x.proven_t
     if aid == AID_BARO:
-        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_SCALE)
+        begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_WILD)
     elif aid == AID_HEADING:
         if x.t < b.proven_t:
             return
@@ -107,7 +107,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         if delay_search.best(b) != 0.0 and x.t - b.begun_t[AID_VELOCITY] < OFTEN:
             begin_instance(x, k, b, FAULT_DELAY, x.fix_dt)
-        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FADE_HEIGHT)
+        begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL_WILD)
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:

@@ -108,18 +108,52 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             p = settled_share(x, b, best)
         if p < SURE or source == SOURCE_NOISE or is_beyond_doubting(x, k, b, source, best):
             b.since[source] = NEVER
-        elif b.since[source] <= NEVER:
+            continue
+        h = address(b.instance[best])
+        if b.since[source] <= NEVER or x.t < b.hold_t:
             b.since[source] = x.t
-        elif x.t < b.hold_t or b.instance[best].recent > THREE_SIGMA2:
+        elif h.recent > THREE_SIGMA2 or not is_of_its_size(k, h):
             b.since[source] = x.t
-        elif x.t - b.since[source] >= (
-            patience if b.instance[best].recent < UNEXPLAINED else 2.0 * patience
-        ):
-            tell(x, b, address(b.instance[best]))
+        elif x.t - b.since[source] >= (patience if h.recent < UNEXPLAINED else 2.0 * patience):
+            tell(x, b, h)
             if k.weighs_faults == WEIGH_ACT:
                 b.since[source] = NEVER
-                repair(x, k, o, best, p)
+                if shape.is_wild(h.kind):
+                    take_back(x, k, o, best)
+                else:
+                    repair(x, k, o, best, p)
                 return
+
+
+def take_back(x: State, k: Parameters, o: Observation, i: int) -> None:
+    """Take back what a source that is wrong in no shape has corrected since its onset.
+
+    That is as uncertain as it was large; and its next readings may be right again.
+    """
+    b = address(o.bank[0])
+    kind = b.instance[i].kind
+    columns.follow(x, b)
+    b.declared[kind] += 1.0
+    b.failed_t[k.fault[kind].source] = x.t
+    find_effect(x, b, i, 0.0, o.dx)
+    add_columns(x, b, i, o.dx, 1.0)
+    inject(x, o)
+    drop_others(k, b, k.fault[kind].shows, -1)
+
+
+def is_of_its_size(k: Parameters, h: Instance) -> bool:
+    """Return whether a fault is no larger than those of its kind are: three sigma of the larger ones.
+
+    What is larger is of another kind, that no hypothesis has. An end, and a delay, begin where they
+    are found.
+    """
+    if shape.is_end(h.kind) or h.kind == FAULT_DELAY:
+        return True
+    square = 0.0
+    for c in range(h.rows):
+        square += h.b[c] * h.b[c]
+    std = k.fault[h.kind].tail
+    return square <= THREE_SIGMA2 * h.rows * std * std
 
 
 def is_beyond_doubting(x: State, k: Parameters, b: Bank, source: int, i: int) -> bool:
@@ -133,6 +167,8 @@ def is_beyond_doubting(x: State, k: Parameters, b: Bank, source: int, i: int) ->
         square += x.gnss_vel_offset[1] * x.gnss_vel_offset[1]
         usual = THREE_SIGMA2 * k.gnss_vel_slow_std * k.gnss_vel_slow_std
         return b.instance[i].kind == FAULT_POSITION_RAMP and square > usual
+    if shape.is_wild(b.instance[i].kind):
+        return False
     if source == SOURCE_VELOCITY:
         return b.drift[0] != 0.0 or b.drift[1] != 0.0
     return source == SOURCE_DRAG
@@ -183,10 +219,16 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     spread(x, k, o, i, p)
     inject(x, o)
     doubt_it(k, b, i, o, p)
+    # of what was held nothing is left that an end could be the opposite of
+    drop_others(k, b, shows, -1 if shape.is_end(kind) else i)
 
-    # What is left may fail apart, and the noise is what it was; all else was about another state,
-    # and of what was held nothing is left that an end could be the opposite of
-    b.kept = -1 if shape.is_end(kind) else i
+
+def drop_others(k: Parameters, b: Bank, shows: int, kept: int) -> None:
+    """Drop what was about another state than the one that is repaired.
+
+    What may fail apart is left, and the noise is what it was.
+    """
+    b.kept = kept
     j = b.n - 1
     while j >= 0:
         other = k.fault[b.instance[j].kind].shows
@@ -487,8 +529,9 @@ def drive(x: State, b: Bank, first: int, last: int) -> None:
 def mix(x: State, k: Parameters, b: Bank) -> None:
     """Write what the mixture adds to attitude, velocity and position, mean and covariance.
 
-    What no other source can ever contradict, and what is over within a minute, widens and does not
-    move: a position and velocity that are led away, a receiver that settles.
+    What no other source can ever contradict, what is over within a minute, and what is larger than
+    it can be, widens and does not move: a position and velocity that are led away, a receiver that
+    settles.
     """
     for i in range(9):
         b.mean[i] = 0.0
@@ -509,7 +552,11 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
             for i in range(9):
                 b.work[i] += b.ahead[c][i] * h.b[c]
         source = k.fault[h.kind].source
-        moves = cython.declare(cython.bint, source != SOURCE_DRAG and source < SOURCE_SETTLING)
+        moves = cython.declare(
+            cython.bint,
+            (source != SOURCE_DRAG and source < SOURCE_SETTLING and is_of_its_size(k, h))
+            or shape.is_wild(h.kind),
+        )
         for i in range(9):
             if moves:
                 b.means[k.fault[h.kind].shows][i] += h.p * b.work[i]

@@ -32,6 +32,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
     FAULT_BARO_STEP,
+    FAULT_BARO_WILD,
     FAULT_BODY_FIELD,
     FAULT_CLIMB_STEP,
     FAULT_DELAY,
@@ -41,6 +42,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_FADE_HEIGHT,
     FAULT_FALL,
     FAULT_FALL_RAMP,
+    FAULT_FALL_WILD,
     FAULT_FIELD,
     FAULT_GYRO_NOISE,
     FAULT_GYRO_STEP,
@@ -54,6 +56,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_POSITION_WILD,
     FAULT_RECOVERY,
     FAULT_RECOVERY_HEIGHT,
     FAULT_SETTLE,
@@ -65,6 +68,13 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_VELOCITY_TURN,
     FAULT_YAW,
     FAULTS,
+    SOURCE_BARO,
+    SOURCE_CLIMB,
+    SOURCE_DRAG,
+    SOURCE_FALL,
+    SOURCE_HEIGHT,
+    SOURCE_POSITION,
+    SOURCE_VELOCITY,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
@@ -94,6 +104,24 @@ def is_halt(kind: int) -> bool:
 def is_fading(kind: int) -> bool:
     """Return whether a hypothesis is that what was declared fades."""
     return kind == FAULT_FADE or kind == FAULT_FADE_HEIGHT
+
+
+def is_wild(kind: int) -> bool:
+    """Return whether a hypothesis is that a source is wrong in no shape."""
+    return kind == FAULT_BARO_WILD or FAULT_POSITION_WILD <= kind <= FAULT_FALL_WILD
+
+
+def rows_of(aid: int, source: int) -> int:
+    """Return which rows of an aid a source makes: 0, the level; 1, the vertical; -1, none."""
+    if aid == AID_VELOCITY:
+        if source == SOURCE_VELOCITY or source == SOURCE_DRAG:
+            return 0
+        return 1 if source == SOURCE_CLIMB or source == SOURCE_FALL else -1
+    if aid == AID_POSITION:
+        return 0 if source == SOURCE_POSITION or source == SOURCE_DRAG else -1
+    if aid == AID_HEIGHT:
+        return 1 if source == SOURCE_HEIGHT or source == SOURCE_FALL else -1
+    return 1 if aid == AID_BARO and source == SOURCE_BARO else -1
 
 
 def first_axis(kind: int) -> int:
@@ -172,6 +200,9 @@ def begin(x: State, b: Bank, i: int) -> None:
     elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
         b.U[0][E_POS + 2][i] = -1.0
         b.U[0][E_BARO][i] = -1.0
+    elif is_wild(kind):  # what its readings have done is known
+        h.b[0] = 1.0
+        h.M[0][0] = 0.0
     elif kind == FAULT_DELAY:  # about what fits best; what that adds is known, and no part of b
         h.tau = delay_search.best(b)
         h.b[0] = h.tau
