@@ -318,8 +318,8 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
 def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
     """Find how probable it is that the source of the level, and of the vertical rows is wrong.
 
-    As far as another one could contradict it: none a position and a velocity that are led away as if
-    the vehicle were.
+    As far as another one could contradict it: none a position and a velocity that are led away as
+    if the vehicle were.
     """
     b.wrong[0] = 0.0
     b.wrong[1] = 0.0

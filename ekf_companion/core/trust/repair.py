@@ -142,7 +142,7 @@ def take_back(x: State, k: Parameters, o: Observation, i: int) -> None:
 
 
 def is_of_its_size(k: Parameters, h: Instance) -> bool:
-    """Return whether a fault is no larger than those of its kind are: three sigma of the larger ones.
+    """Return whether a fault is as large as those of its kind: three sigma of the larger ones.
 
     What is larger is of another kind, that no hypothesis has. An end, and a delay, begin where they
     are found.
