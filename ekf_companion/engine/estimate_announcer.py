@@ -100,6 +100,7 @@ class EstimateAnnouncer:
         self._jumps, self._silence = 0, ""
         self._receiver = self._compass = 0
         self._decimated, self._is_position_autopilots = 0, False
+        self._odd: set[str] = set()
 
     def _tell(self, subject: str, severity: Severity, text: str) -> None:
         """Send the pilot the state of a subject, which the text itself names."""
@@ -176,6 +177,11 @@ class EstimateAnnouncer:
         if self._is_position_autopilots and not health.is_position_autopilots:
             self._pilot.assume("source", "receiver")
         self._is_position_autopilots = health.is_position_autopilots
+        for words in health.oddities:
+            subject = words.split(":")[0]
+            if subject not in self._odd:
+                self._odd.add(subject)
+                _log.warning("%s", words)
         self._announce_sensors(health)
         self._announce_status(health)
 

@@ -270,7 +270,7 @@ class Pipeline:
             protection_vertical=levels[1],
             receiver=int(x.receiver),
             compass=int(x.compass),
-            oddities=tuple(oddities(slow_errors(x))),
+            oddities=(*oddities(slow_errors(x)), *self._anchors.oddities()),
         )
 
     @property

@@ -298,3 +298,13 @@ def test_a_fault_after_half_a_minute_of_health_is_news_though_health_was_told_la
         is_end = key == "ok"
         pilot.on_state("estimate", key, Severity.NOTICE, text, seconds * SECOND_NS, is_end=is_end)
     assert sent == ["estimate OK", "GNSS is 60 m off", "GNSS is 2 m off"]
+
+
+def test_what_no_good_sensor_has_is_logged_once_and_no_matter_of_the_pilot(caplog):
+    pilot = Pilot().see(Status.OK)
+    for metres in ("0.97", "1.02"):
+        pilot.see(Status.OK, oddities=(f"anchor 3: its ranges are {metres} m longer",))
+    pilot.see(Status.OK, oddities=("anchor 7 has no place", "anchor 3: its ranges are 1 m longer"))
+    said = [one.getMessage() for one in caplog.records if "anchor" in one.getMessage()]
+    assert said == ["anchor 3: its ranges are 0.97 m longer", "anchor 7 has no place"]
+    assert pilot.read == ["estimate OK"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 
 import numpy as np
@@ -11,7 +10,6 @@ from ekf_companion.core.settings.settings import AnchorRangeSettings
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Row
 
-_log = logging.getLogger(__name__)
 _NUMBER, _PLACE = 1, slice(2, 6)
 """Columns of the row of an :class:`~ekf_companion.nav.measurements.AnchorSample`."""
 
@@ -37,7 +35,7 @@ class Anchors:
         number, place = round(values[_NUMBER]), values[_PLACE]
         if math.isnan(place[0]):
             if number not in self._places:
-                self._note(number)
+                self._unknown.add(number)
                 return row
             place = self._places[number]
         distance = values[0] - self._biases.get(number, 0.0)
@@ -49,10 +47,9 @@ class Anchors:
             row = (int(events.t_ns[i]), int(Kind.ANCHOR), tuple(values[i].tolist()))
             values[i] = self.complete(row)[2]
 
-    def _note(self, number: int) -> None:
-        if number not in self._unknown:
-            self._unknown.add(number)
-            _log.warning(
-                "anchor %d has no place: its ranges are not used; add it to anchor_range.anchors",
-                number,
-            )
+    def oddities(self) -> list[str]:
+        """Return which anchors have no place, and what to do."""
+        return [
+            f"anchor {number} has no place: its ranges are not used; add it to anchor_range.anchors"
+            for number in sorted(self._unknown)
+        ]
