@@ -44,6 +44,8 @@ LARGEST_COPY = 400_000
 """Bytes of a damaged copy."""
 KILL_EVERY_S = 20.0
 WORKERS = 2
+ROUNDS = 3
+"""Times that processes and Dask are run in turn: the least of each is what it costs."""
 
 
 def make_logs(folder: Path, count: int) -> None:
@@ -119,11 +121,18 @@ def engines(count: int) -> None:
         root = Path(name)
         (root / "logs").mkdir()
         make_logs(root / "logs", count)
-        seconds = {"processes": fill(root / "logs", root / "processes", Processes(WORKERS))}
         options = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
+        seconds: dict[str, float] = {}
+        for number in range(ROUNDS):
+            place = root / f"processes{number or ''}"
+            spent = fill(root / "logs", place, Processes(WORKERS))
+            seconds["processes"] = min(spent, seconds.get("processes", spent))
+            with LocalCluster(n_workers=WORKERS, threads_per_worker=1, **options) as cluster:
+                dask = Dask(cluster.scheduler_address, WORKERS)
+                spent = fill(root / "logs", root / f"dask{number or ''}", dask)
+                seconds["dask"] = min(spent, seconds.get("dask", spent))
         with LocalCluster(n_workers=WORKERS, threads_per_worker=1, **options) as cluster:
             dask = Dask(cluster.scheduler_address, WORKERS)
-            seconds["dask"] = fill(root / "logs", root / "dask", dask)
             with killing(cluster) as killed:
                 seconds["killed"] = fill(root / "logs", root / "killed", dask)
         command = [sys.executable, "-m", "ekf_companion", "batch", str(root / "logs")]
