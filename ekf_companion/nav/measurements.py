@@ -102,7 +102,7 @@ def make_row(t_ns: int, kind: Kind, *values: float | None) -> Row:
 
 
 _IMU = int(Kind.IMU)
-_REST_OF_SAMPLE = (0.0,) * (WIDTH - 6)
+_REST_OF_SAMPLE = (0.0,) * (WIDTH - 10)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,9 +136,18 @@ class ImuSample(NamedTuple):
     """m/s^2, right."""
     accel_z: float
     """m/s^2, down: about -9.81 at rest and level."""
+    gyro_std: float = 0.0
+    """The first sample of another unit: one sigma of how its biases differ from those of the unit
+    before, rad/s; infinite: nobody knows; 0: it is the same unit."""
+    accel_std: float = 0.0
+    """m/s^2."""
+    turned: float = 0.0
+    """By how much the unit before was wrong until then, rad."""
+    gained: float = 0.0
+    """m/s."""
 
     def row(self) -> Row:
-        """Return the row [gyro x y z, accel x y z]."""
+        """Return the row [gyro x y z, accel x y z, std of gyro and accel, turned, gained]."""
         return self.t_ns, _IMU, self[1:] + _REST_OF_SAMPLE
 
 

@@ -17,7 +17,7 @@ from ekf_companion.nav.earth import STANDARD_GRAVITY
 Sample = tuple[float, float, float, float, float, float]
 """Rate, rad/s, and specific force, m/s^2, in the body."""
 
-_CHANCE = math.log(1e-12)
+CHANCE = math.log(1e-12)
 """Logarithm of the probability below which a run is not chance: with independent samples one false
 alarm in some years at 250 Hz."""
 _MEMORY = 2048
@@ -152,13 +152,24 @@ class Repetition:
         self._equal[axis] += 1
         return True
 
-    def _is_silent(self, axis: int) -> bool:
-        """Whether an axis has been constant for longer than chance explains."""
+    def chance(self) -> float:
+        """Return the logarithm of how likely it is that each axis still measures: of the least."""
+        least = 0.0
+        for axis in range(6):
+            least = min(least, self._chance(axis))
+        return least
+
+    def _chance(self, axis: int) -> float:
+        """Return the logarithm of the probability of so long a run; 0 while nothing is known."""
         run = self._runs[axis]
         known = self._pairs - run
         if not run or known < _FEWEST:
-            return False
-        return run * log((self._equal[axis] - run + 1.0) / (known + 2.0)) < _CHANCE
+            return 0.0
+        return run * log((self._equal[axis] - run + 1.0) / (known + 2.0))
+
+    def _is_silent(self, axis: int) -> bool:
+        """Whether an axis has been constant for longer than chance explains."""
+        return self._chance(axis) < CHANCE
 
     def _may_stand(self, t_us: int) -> bool:
         rate = math.hypot(self._last[0], self._last[1], self._last[2])

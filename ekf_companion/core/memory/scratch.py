@@ -22,6 +22,15 @@ class ImuRow:
 
     gyro: Annotated[Vector, 3]
     accel: Annotated[Vector, 3]
+    gyro_std: Real
+    """The first of another unit: one sigma of how its biases differ from those that were estimated,
+    rad/s; 0: it is the unit before."""
+    accel_std: Real
+    """m/s^2."""
+    turned: Real
+    """By how much the unit before was wrong in all, rad."""
+    gained: Real
+    """m/s."""
 
 
 @struct

@@ -14,6 +14,8 @@ from cython.cimports.ekf_companion.core.filter.strapdown import integrate_strapd
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_ATT,
+    E_BA,
+    E_BG,
     E_POS,
     E_VEL,
     MODE_LEVEL,
@@ -181,3 +183,18 @@ def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap:
         x.needs_reset = NEEDS_FIX
         x.alignment.motion.has_fix = 0.0
         x.alignment.reference.is_known = 0.0
+
+
+def inflate_after_change(x: State, k: Parameters, imu: ImuRow) -> None:
+    """Inflate P before the first sample of another inertial unit.
+
+    By how much its biases may differ from those that were estimated, no more than at a start, and
+    by what the unit before may have done to attitude and velocity.
+    """
+    gyro = imu.gyro_std if imu.gyro_std < k.gyro_bias_std else k.gyro_bias_std
+    accel = imu.accel_std if imu.accel_std < k.accel_bias_std else k.accel_bias_std
+    for i in range(3):
+        add_variance(x, E_BG + i, gyro * gyro)
+        add_variance(x, E_BA + i, accel * accel)
+        add_variance(x, E_ATT + i, imu.turned * imu.turned)
+        add_variance(x, E_VEL + i, imu.gained * imu.gained)

@@ -42,6 +42,7 @@ from cython.cimports.ekf_companion.core.order.interval import (
     advance,
     carry_on,
     find_interval_motion,
+    inflate_after_change,
     inflate_after_gap,
     shown_rate,
 )
@@ -81,6 +82,10 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
     is_gap = cython.declare(cython.bint, span > k.gap and span > SLOW_GAP * x.dt)
     if is_gap:
         x.gap_t = t
+    if imu.gyro_std > 0.0 or imu.accel_std > 0.0:
+        inflate_after_change(x, k, imu)
+        if w.tape.is_on:
+            tape.record_gap(x, w)
     begin = x.t
     for r in range(first, last + 1):
         advance(x, k, w, rows[r].t, begin, span)
