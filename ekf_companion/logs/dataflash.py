@@ -29,6 +29,7 @@ from ekf_companion.logs.dataflash_tables import (
 )
 from ekf_companion.logs.dataflash_text import text_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
+from ekf_companion.logs.inertial_units import STDS
 from ekf_companion.logs.recording import CUT, Recording, cut_short
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.logs.stored_rows import Column, StoredRows
@@ -193,7 +194,8 @@ def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
     if (rows := rows_of(tables, name)) is None:
         return []
     table, t_ns = rows
-    columns = [table[column] for column in NEEDED[name]]
+    more = STDS if kind is Kind.IMU and STDS[0] in names_of(table) else ()
+    columns = [table[column] for column in (*NEEDED[name], *more)]
     return [(EventColumns(t_ns, kind, *columns), table[OFFSET])]
 
 

@@ -26,9 +26,11 @@ from ekf_companion.logs.dataflash_sensors import (
     Family,
     Sensor,
     good_of,
+    has_flag,
     is_numbered,
     sensors_of,
 )
+from ekf_companion.logs.inertial_units import STDS, Samples
 from ekf_companion.logs.instances import Stretch, Wanted
 from ekf_companion.logs.series import ascending, stack
 from ekf_companion.logs.stored_rows import Column, StoredRows
@@ -63,6 +65,15 @@ def choose(tables: Tables, notes: list[str]) -> Tables:
                 _rename(chosen, name, sensors)
             continue
         used = instances.choose(good_of(name, sensors, family), wanted.get(name, ()))
+        if name == "IMU" and used:
+            said, samples = _judge_units(chosen, sensors, used[0].key, wanted.get(name, ()), begun_ns)
+            notes += said
+            if samples is not None:
+                for message in family.messages:
+                    chosen.pop(message, None)
+                chosen[name] = samples
+                continue
+            used = used[:1]
         keys = {one.key for one in used} or {sensors[0].number}
         used = used or [Stretch(0, sensors[0].number, is_wanted=False)]
         notes += _notes(name, family, used, sensors, begun_ns)
@@ -185,6 +196,39 @@ def _notes(
             else f", as {names[others[0].number]} {family.lack}"
         )
     return [f"{name}: {names[one.key]} is used{why}; the log also holds {words}"]
+
+
+def _judge_units(
+    tables: Tables, sensors: Sequence[Sensor], first: int, wanted: Wanted, begun_ns: int
+) -> tuple[list[str], StoredRows | None]:
+    """Judge the inertial units by each other.
+
+    Return notes on them, and the samples in use where not all are the first one's.
+    """
+    if any(one.is_named for one in sensors):
+        tables = dict(tables)
+        _join(tables, "IMU", sensors)
+        numbered = tables["IMU"]
+    else:
+        numbered = sensors[0].table
+    samples = Samples(first, wanted)
+    axes = ALIGNED["IMU"]
+    fields = [(OFFSET, "<i8"), ("TimeUS", "<u8"), *((name, "<f4") for name in (*axes, *STDS))]
+    found = StoredRows(np.dtype(fields))
+    for _, rows in numbered.parts():
+        t_ns = stamps(rows)
+        is_bad = ~(has_flag(rows, "GH") & has_flag(rows, "AH"))
+        values = stack(rows, *axes)
+        at, used_ns, values = samples.take(rows[INSTANCE], t_ns, values, is_bad)
+        part = np.zeros(len(at), dtype=found.dtype)
+        part[OFFSET], part["TimeUS"] = rows[OFFSET][at], used_ns // 1000
+        for name, column in zip((*axes, *STDS), values.T, strict=True):
+            part[name] = column
+        found.append(part)
+    names = {
+        one.number: one.message if one.is_named else f"instance {one.number}" for one in sensors
+    }
+    return samples.notes("IMU", names, begun_ns), found if samples.lanes.changes else None
 
 
 def _put_together(

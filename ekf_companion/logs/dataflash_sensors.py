@@ -106,7 +106,7 @@ def _is_sample(rows: Column, before: Column | None) -> Mask:
     good = np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)
     last = values[:1] * np.nan if before is None else np.stack([before[axis] for axis in axes], 1)
     good &= (np.diff(values, axis=0, prepend=last) != 0.0).any(axis=1)
-    return np.asarray(good & _has(rows, "GH") & _has(rows, "AH"))
+    return np.asarray(good & has_flag(rows, "GH") & has_flag(rows, "AH"))
 
 
 def _is_fix(rows: Column, before: Column | None) -> Mask:
@@ -122,17 +122,17 @@ def _is_fix(rows: Column, before: Column | None) -> Mask:
 def _is_field(rows: Column, before: Column | None) -> Mask:
     values = np.stack([rows[axis] for axis in ALIGNED["MAG"]], axis=1)
     good = np.isfinite(values).all(axis=1) & (values != 0).any(axis=1)
-    return np.asarray(good & _has(rows, "Health"))
+    return np.asarray(good & has_flag(rows, "Health"))
 
 
 def _is_pressure(rows: Column, before: Column | None) -> Mask:
     good = np.isfinite(rows["Alt"])
     if "Press" in names_of(rows):
         good &= rows["Press"] > 0.0
-    return np.asarray(good & _has(rows, "H") & _has(rows, "Health"))
+    return np.asarray(good & has_flag(rows, "H") & has_flag(rows, "Health"))
 
 
-def _has(rows: Column, flag: str) -> Mask:
+def has_flag(rows: Column, flag: str) -> Mask:
     """Return where a flag is set; everywhere if there is none."""
     names = names_of(rows)
     return np.asarray(rows[flag] != 0) if flag in names else np.ones(len(rows), dtype=bool)

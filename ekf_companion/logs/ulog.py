@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import aids, receiver_time, series
+from ekf_companion.logs.inertial_units import STDS
 from ekf_companion.logs.recording import (
     CUT,
     Damage,
@@ -244,6 +245,7 @@ def _events(
 
 def _imu(topic: Topic) -> Arrivals:
     names = [f"{name}[{axis}]" for name in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)]
+    names += STDS if STDS[0] in topic else ()
     columns = [topic[name] for name in names]
     known = np.ones(len(topic["t_ns"]), dtype=bool)
     for column in columns:

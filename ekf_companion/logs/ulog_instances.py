@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_companion.logs import instances, series
+from ekf_companion.logs.inertial_units import STDS, Samples, by_time
 from ekf_companion.logs.instances import Good, Stretch, Wanted
 from ekf_companion.logs.series import FIX_3D
 from ekf_companion.logs.stored_rows import Column, StoredRows
@@ -153,6 +154,13 @@ def choose(log: Messages, tables: Sequence[Table], notes: list[str]) -> dict[str
         sensors = _sensors(log, family, tables)
         if not sensors:
             continue
+        units = [one for one in sensors if one.topic == "vehicle_imu"]
+        if len(units) > 1:
+            said, samples = _judge_units(family, units, tables, int(begun_ns))
+            notes += said
+            if samples is not None:
+                chosen[family.topics[0]] = samples
+                continue
         used = [Stretch(0, 0, is_wanted=True)]
         if len(sensors) > 1:
             good = {key: _good(family, one) for key, one in enumerate(sensors)}
@@ -259,6 +267,32 @@ def _selected(tables: Sequence[Table], column: str) -> list[tuple[int, int]]:
                 if device and (not found or device != found[-1][1]):
                     found.append((t_ns, device))
     return sorted(found)
+
+
+def _judge_units(
+    family: Family, units: Sequence[_Sensor], tables: Sequence[Table], begun_ns: int
+) -> tuple[list[str], StoredRows | None]:
+    """Judge the inertial units by each other.
+
+    Return notes on them, and the samples in use where not all are the first one's.
+    """
+    wanted = _wanted(family, units, tables)
+    good = {key: _good(family, one) for key, one in enumerate(units)}
+    used = instances.choose(good, wanted)
+    samples = Samples(used[0].key if used else 0, wanted)
+    fields = [("timestamp", "<u8"), *((name, "<f4") for name in (*_RATES, *STDS))]
+    found = StoredRows(np.dtype(fields))
+    for number, rows in by_time([one.rows for one in units], "timestamp"):
+        values = series.stack(rows, *_RATES)
+        is_bad = np.zeros(len(rows), dtype=bool)
+        _, used_ns, values = samples.take(number, _stamps(rows), values, is_bad)
+        part = np.zeros(len(used_ns), dtype=found.dtype)
+        part["timestamp"] = used_ns // 1000
+        for name, column in zip((*_RATES, *STDS), values.T, strict=True):
+            part[name] = column
+        found.append(part)
+    names = {key: one.words for key, one in enumerate(units)}
+    return samples.notes(family.name, names, begun_ns), found if samples.lanes.changes else None
 
 
 def _put_together(

@@ -87,11 +87,14 @@ _NEVER = -(2**62)
 LEFT, USED, CHANGED = range(3)
 """What becomes of a sample: it is not used, it is, or the unit has changed."""
 SILENT = "silent"
+NOT_A_NUMBER = "not a number"
 AXIS = "stuck on an axis"
 STEP = "off from the others by a step"
 UNHEALTHY = "unhealthy by the autopilot's own word"
 CHOSEN = "not the one that the autopilot uses"
 """Why a unit is left, beside the reasons of :mod:`.repetition`."""
+UNKNOWN = 1e3
+"""rad/s and m/s^2: no bias is so large."""
 STDS = 4
 """Numbers of a change: see :attr:`Change.std`."""
 
@@ -113,8 +116,8 @@ class Change(NamedTuple):
     offset: Numbers6
     """To be added to the readings of the unit in use: rad/s, m/s^2."""
     std: tuple[float, float, float, float]
-    """By how much its biases may differ from those that were estimated (rad/s, m/s^2; infinite:
-    nobody knows), and what the unit before may have turned and gained that was none (rad, m/s)."""
+    """By how much its biases may differ from those that were estimated (rad/s, m/s^2;
+    ``UNKNOWN``: nobody knows), and what the unit before may have turned and gained that was none (rad, m/s)."""
     ready: tuple[Waiting, ...]
     """Its samples that are later than all that were used."""
 
@@ -131,6 +134,10 @@ class Unit:
         self.failed_ns: int = _NEVER
         self.why = ""
         """Why it failed last."""
+        self.faults = 0
+        """How often it has failed."""
+        self.fault_ns: int = _NEVER
+        """When it did first."""
         self.waiting: list[Waiting] = []
         self.begin()
 
@@ -358,7 +365,8 @@ class Pair:
     def blame(self, one: Unit, other: Unit, block: int) -> int:
         """Return which of the two has changed by more than motion does: 1, 2; 0: nobody knows.
 
-        Along their difference: either its change is the motion, and the other's has a fault in it.
+        Along their difference, which has begun just now: either one's change is the motion, and the
+        other's has the fault in it.
         """
         for n in range(1, LONGEST + 1):
             first = block - n + 1
@@ -380,7 +388,10 @@ class Pair:
                     length += off * off
                     white = min(one.white[axis], other.white[axis]) * max(one.dt, other.dt)
                     var += off * off * (2.0 * white / (n * _BLOCK) + n * self.moves[axis])
-                # x and y times the length, var times its square
+                # x and y times the length, var times its square. What differs has begun just now:
+                # one of the two changes has it.
+                if abs(x - y) < 0.5 * length:
+                    continue
                 ratio = 0.5 * (x * x - y * y) / (var + 1e-12 * length)
                 if ratio > _LIKELIER and x * x > 4.0 * y * y:
                     return 1
@@ -389,9 +400,9 @@ class Pair:
         return 0
 
     def std(self, sensor: int) -> float:
-        """Return one sigma of the usual difference, of the worst axis; infinite: not known."""
+        """Return one sigma of the usual difference, of the worst axis."""
         if not self.is_known():
-            return math.inf
+            return UNKNOWN
         worst = 0.0
         for axis in range(3 * sensor, 3 * sensor + 3):
             worst = max(worst, self.drift[axis] + self.spread[axis] / self.count)
@@ -447,8 +458,11 @@ class Lanes:
             if unit.t_ns - t_ns < 1_000_000_000:
                 return USED if is_used else LEFT
             self._begin()
-        if is_bad or not math.isfinite(gx + gy + gz + ax + ay + az):
-            why: str | None = UNHEALTHY
+        why: str | None = None
+        if not math.isfinite(gx + gy + gz + ax + ay + az):
+            why = NOT_A_NUMBER
+        elif is_bad:
+            why = UNHEALTHY
         else:
             why = unit.take(t_ns, gx, gy, gz, ax, ay, az)
             if why is None and unit.chance < CHANCE:
@@ -525,6 +539,11 @@ class Lanes:
             pair.since = _NEVER
 
     def _note(self, unit: Unit, why: str, t_ns: int) -> None:
+        """Note that a unit fails now."""
+        if not unit.has_failed(t_ns):
+            unit.faults += 1
+        if unit.fault_ns == _NEVER:
+            unit.fault_ns = t_ns
         unit.failed_ns, unit.why = t_ns, why
 
     def _pair(self, one: int, other: int) -> Pair:

@@ -138,7 +138,7 @@ class ImuSample(NamedTuple):
     """m/s^2, down: about -9.81 at rest and level."""
     gyro_std: float = 0.0
     """The first sample of another unit: one sigma of how its biases differ from those of the unit
-    before, rad/s; infinite: nobody knows; 0: it is the same unit."""
+    before, rad/s; 0: it is the same unit."""
     accel_std: float = 0.0
     """m/s^2."""
     turned: float = 0.0

@@ -13,6 +13,7 @@ from ekf_companion.nav.lanes import (
     SILENT,
     STEP,
     UNHEALTHY,
+    UNKNOWN,
     USED,
     Lanes,
     used_rows,
@@ -270,4 +271,4 @@ def test_a_frozen_unit_is_left_though_nothing_of_the_other_is_known_yet():
         if n > 270:
             lanes.add(1, round(units.t[1][n] * 1e9), *units.values[1][n])
     assert CHANGED in became
-    assert lanes.changes[0].std[:2] == (math.inf, math.inf)
+    assert lanes.changes[0].std[:2] == (UNKNOWN, UNKNOWN)
