@@ -5,6 +5,7 @@ Native files declare them in the header. A column is a quantity and its unit::
     time_us | time_ms | time_s                      needed; the sample's stamp
     gyro_x_rps | gyro_x_dps   (and y, z)            body frame: forward, right, down
     accel_x_mps2 | accel_x_g  (and y, z)            specific force: -9.8 down at rest
+    gyro2_x_rps, accel2_x_mps2, ... gyro4, accel4   other inertial units, in the same axes
     mag_x_gauss | mag_x_uT | mag_x_mG  (and y, z)
     baro_alt_m | baro_press_hPa | baro_press_Pa
     range_m, range_std_m                            to the ground, along the body's down axis

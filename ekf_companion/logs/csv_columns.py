@@ -38,10 +38,16 @@ _BY_UNIT = {
     "1": "number",
 }
 """Dimension of what an aid declares."""
+UNITS = ("", "2", "3", "4")
+"""Of the inertial units, behind ``gyro`` and ``accel``."""
 QUANTITIES = {
     "time": "time",
-    **{f"gyro_{axis}": "gyro" for axis in "xyz"},
-    **{f"accel_{axis}": "accel" for axis in "xyz"},
+    **{
+        f"{sensor}{unit}_{axis}": sensor
+        for unit in UNITS
+        for sensor in ("gyro", "accel")
+        for axis in "xyz"
+    },
     **{f"mag_{axis}": "mag" for axis in "xyz"},
     "baro_alt": "length",
     "baro_press": "pressure",
@@ -53,7 +59,10 @@ QUANTITIES = {
 }
 """Dimension of each quantity."""
 GROUPS = {
-    "imu": [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"],
+    **{
+        f"imu{unit}": [f"{sensor}{unit}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+        for unit in UNITS
+    },
     "mag": [f"mag_{axis}" for axis in "xyz"],
 }
 """Quantities that are only usable together."""

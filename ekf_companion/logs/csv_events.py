@@ -9,7 +9,8 @@ import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import aids, series
-from ekf_companion.logs.csv_columns import DEGREE, GROUPS, Source
+from ekf_companion.logs.csv_columns import DEGREE, GROUPS, UNITS, Source
+from ekf_companion.logs.inertial_units import Samples
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
@@ -59,10 +60,16 @@ class EventMaker:
         self._last: tuple[Stamps, Indices, Columns] | None = None
         self._repeated = 0
         self._nowhere = 0
+        others = [GROUPS[f"imu{unit}"][0] for unit in UNITS[1:]]
+        self._units = Samples(1, ()) if {*others} & {*sources} else None
+        self._begun_ns: int | None = None
 
     def notes(self, total: int) -> list[str]:
         """Return notes on all rows, given their number."""
         notes = []
+        if self._units is not None and self._begun_ns is not None:
+            names = {n: f"gyro{unit}, accel{unit}" for n, unit in enumerate(UNITS, 1)}
+            notes += self._units.notes("IMU", names, self._begun_ns)
         if "gps_north" in self._names or "gps_lat" in self._names:
             if missing := [name for name in GNSS_STD if name not in self._names]:
                 said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
@@ -95,6 +102,13 @@ class EventMaker:
         for kind, aid in aids.CSV.items():
             part = _part(t_ns, is_new, values, aid.csv, self._constant)
             found += self._aid(kind, aid, part)
+        if self._begun_ns is None and len(t_ns):
+            self._begun_ns = int(t_ns[0])
+        units = {}
+        if self._units is not None:
+            for number, unit in enumerate(UNITS, 1):
+                group = GROUPS[f"imu{unit}"]
+                units[number] = _part(t_ns, is_new, values, group, self._constant)
         gnss, heading, mag, baro, imu = (
             _part(
                 t_ns,
@@ -106,7 +120,8 @@ class EventMaker:
             for begin in ("gps_", "heading", "mag_", "baro_", "")
         )
         found += [*self._gnss(gnss), *self._heading(heading), *self._sensor("mag", Kind.MAG, mag)]
-        found += [*self._barometer(baro), *self._sensor("imu", Kind.IMU, imu)]
+        found += self._barometer(baro)
+        found += self._sensor("imu", Kind.IMU, imu) if self._units is None else self._lanes(units)
         if not found:
             return Events.from_rows([])
         return merged([(events, row[at]) for events, at in found])
@@ -124,6 +139,26 @@ class EventMaker:
             return []
         axes = [part.values[name] for name in GROUPS[group]]
         return _found(part, kind, axes, axes, axes if group in self._hold else None)
+
+    def _lanes(self, parts: Mapping[int, _Part]) -> Arrivals:
+        """Return the samples in use of several inertial units."""
+        assert self._units is not None
+        numbers, rows, stamps, samples = [], [], [], []
+        for number, unit in enumerate(UNITS, 1):
+            for events, row in self._sensor(f"imu{unit}", Kind.IMU, parts[number]):
+                numbers.append(np.full(len(row), number))
+                rows.append(row)
+                stamps.append(events.t_ns)
+                samples.append(np.stack(events.columns, axis=1))
+        if not rows:
+            return []
+        order = np.argsort(np.concatenate(rows), kind="stable")
+        number, row, t_ns, values = (
+            np.concatenate(each)[order] for each in (numbers, rows, stamps, samples)
+        )
+        is_bad = np.zeros(len(row), dtype=bool)
+        at, used_ns, values = self._units.take(number, t_ns, values, is_bad)
+        return [(EventColumns(used_ns, Kind.IMU, *values.T), row[at])]
 
     def _barometer(self, part: _Part) -> Arrivals:
         values = part.values

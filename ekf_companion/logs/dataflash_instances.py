@@ -66,7 +66,9 @@ def choose(tables: Tables, notes: list[str]) -> Tables:
             continue
         used = instances.choose(good_of(name, sensors, family), wanted.get(name, ()))
         if name == "IMU" and used:
-            said, samples = _judge_units(chosen, sensors, used[0].key, wanted.get(name, ()), begun_ns)
+            said, samples = _judge_units(
+                chosen, sensors, used[0].key, wanted.get(name, ()), begun_ns
+            )
             notes += said
             if samples is not None:
                 for message in family.messages:

@@ -63,7 +63,9 @@ class Samples:
         changes = self.lanes.changes
         for one in changes[:MOST]:
             seconds = (one.t_ns - begun_ns) * 1e-9
-            why = "the autopilot uses it" if one.why == CHOSEN else f"{names[one.left]} is {one.why}"
+            why = (
+                "the autopilot uses it" if one.why == CHOSEN else f"{names[one.left]} is {one.why}"
+            )
             notes.append(f"{kind}: {names[one.used]} is used from {seconds:.1f} s on: {why}")
         if (rest := len(changes) - len(notes)) > 0:
             notes.append(f"{kind}: the sensor in use changes {counted(rest, 'more time')}")
