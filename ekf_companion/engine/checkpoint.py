@@ -54,7 +54,7 @@ from ekf_companion.version import __version__
 MAGIC = b"\x89EKFCKPT"
 FAST = 1
 """Level of the compression: a state is mostly zeros, and is written once a second."""
-FORMAT = 4
+FORMAT = 5
 LIMIT = CheckpointConfig().limit
 """Age beyond which a checkpoint is stale unless told otherwise, s."""
 DISAGREEMENT_NS = 2_000_000_000
@@ -67,8 +67,10 @@ MOST_STARTS = 5
 """After so many restarts, each within :data:`STEADY_NS` of the last, the state may be the cause."""
 STEADY_NS = 3_000_000_000
 """What a bad state breaks, it breaks at the first samples and fixes."""
-_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s7d2I")
+_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s7dB6d2I")
 _LARGEST_RANK = 4
+_LARGEST_OFFSET = 1e3
+"""Between two inertial units, rad/s and m/s^2: no two differ by as much."""
 _HIGHEST = 1e5
 """Of an origin, m, as of a fix (``core/order/events.py``)."""
 _FARTHEST = 1e3
@@ -111,6 +113,10 @@ class Checkpoint:
     sources: Sources
     datum: float = math.nan
     """What the autopilot's altitudes are above ours, m; NaN: not known, or of no importance."""
+    unit: int = 0
+    """Number of the inertial unit in use."""
+    unit_offset: tuple[float, ...] = (0.0,) * 6
+    """What is added to its readings, rad/s and m/s^2: they continue those of another one."""
     starts: int = 0
     """Restarts from checkpoints in a row, none of which lasted a minute."""
 
@@ -210,6 +216,8 @@ def encode(checkpoint: Checkpoint) -> bytes:
         *checkpoint.clocks,
         *_origin_numbers(_origin(state.block)),
         checkpoint.datum,
+        checkpoint.unit,
+        *checkpoint.unit_offset,
         len(state.block),
         len(state.waiting),
     )
@@ -240,13 +248,14 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         _HEADER.unpack_from(data)
     )
     *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id = rest[:11]
-    *numbers, datum, size, count = rest[11:]
+    *numbers, size, count = rest[11:]
+    datum, unit, *offset = numbers[6:]
     datum = datum if abs(datum) < _HIGHEST else math.nan
     vehicle = Vehicle(family.rstrip(b"\0").decode(errors="replace"), system_id, component_id)
     clocks = Clocks(unix_ns, boot_ns, boot_id)
     remains = None
     if form == FORMAT:
-        remains = Remains(vehicle, clocks, stamp_ns, _origin_of(numbers), datum)
+        remains = Remains(vehicle, clocks, stamp_ns, _origin_of(numbers[:6]), datum)
     wrote = version.rstrip(b"\0").decode(errors="replace")
     if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
         return Refusal(
@@ -273,7 +282,8 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         sent_before=before,
         bank=_bank(whole[end:]),
     )
-    if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
+    is_offset = all(abs(one) < _LARGEST_OFFSET for one in offset)
+    if max(sources) > _LARGEST_RANK or not is_offset or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")
     if refusal := _refuse_state(state):
         return replace(refusal, remains=remains if refusal.why is Why.ALIGNING else None)
@@ -291,6 +301,8 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         clocks=clocks,
         datum=datum,
         sources=Sources(*sources),
+        unit=unit,
+        unit_offset=tuple(offset),
         starts=starts,
     )
 

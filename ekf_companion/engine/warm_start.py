@@ -143,6 +143,7 @@ class WarmStart:
             refusal = found.refuse_vehicle(vehicle, pipeline.fingerprint)
             if refusal is None:
                 decoder.prefer(*found.sources)
+                decoder.inertial.resume(found.unit, found.unit_offset)
             else:
                 self._refuse(refusal)
         if self._remains is not None and self._remains.vehicle != vehicle:
@@ -216,6 +217,8 @@ class WarmStart:
                 clocks=clocks,
                 datum=datum,
                 sources=Sources(*decoder.ranks),
+                unit=decoder.inertial.unit,
+                unit_offset=decoder.inertial.lanes.offset,
                 starts=self._starts,
             )
         )

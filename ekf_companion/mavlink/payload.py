@@ -233,6 +233,8 @@ class PayloadReader:
         rank = 0 if m.id == self.imu_id else m.id + 1
         if rank != self.imu.instances.rank or self.imu.sources.rank != 0:
             return False
+        if self.imu.is_watching:
+            return False
         if self.trim.first_ns is None or m.fields_updated & ACCEL_GYRO != ACCEL_GYRO:
             return False
         t_us = cython.cast(cython.longlong, m.time_usec)

@@ -73,8 +73,6 @@ _LASTING_NS = 10_000_000_000
 from then on."""
 _BRIEF_NS = 1_000_000_000
 """The same of one whose difference is over."""
-_ALONE_NS = 3_000_000_000
-"""ns: a unit that is silent for so long is none."""
 _RECENT = 5
 """Blocks, 0.2 s, in which the unit that is left may have been wrong."""
 _SUSPECT = math.log(1e-3)
@@ -505,14 +503,15 @@ class Lanes:
         self.used, self.offset = number, offset
         self.is_shifted = offset != (0.0,) * 6
 
-    def is_alone(self, t_ns: int) -> bool:
-        """Return whether no other unit has lately spoken, and nothing is added to the readings."""
-        if self.is_shifted:
-            return False
+    def has_spare(self, t_ns: int) -> bool:
+        """Return whether another unit speaks steadily, and often enough to be gone to."""
+        used: Unit = self._unit(self.used)
         for unit in self.units:
-            if unit.number != self.used and t_ns - unit.t_ns < _ALONE_NS:
-                return False
-        return True
+            one: Unit = unit
+            if one is not used and one.is_steady() and not one.is_silent(t_ns):
+                if one.dt * _SHARE <= used.dt or used.dt == 0.0:
+                    return True
+        return False
 
     def unit(self, number: int) -> Unit:
         """Return a unit by its number."""

@@ -15,6 +15,7 @@ from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
+from ekf_companion.nav.lanes import CHANGED, USED, Lanes
 from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
@@ -29,6 +30,10 @@ _MILLISECOND_US = 1000
 REPEATED, OUT_OF_ORDER = "stamp repeated", "out of order"
 """Why a sample is refused for its stamp."""
 _NO_SAMPLE = (0.0,) * 6
+_LOOK_US = 2_000_000
+"""Time for which a second unit is looked at, us, before it is known whether it is one to go to."""
+_PAUSE_US = 60_000_000
+"""Time until it is looked at again, us, if it is not."""
 _STARVING = 0.25
 """A finer sensor at less than a quarter of the rate of a coarser one loses more than it gains."""
 
@@ -48,6 +53,16 @@ class Inertial(InertialState):
         self.instance = self._context.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
         self.instances = Preference(_STARVING)
+        self.lanes = Lanes(self.instance)
+        """All units that are heard, by their numbers: HIGHRES_IMU.id, SCALED_IMU2 the second."""
+        self.is_watching = False
+        """Whether several are compared."""
+        self._look_us = 0
+        """Until when a second unit is looked at, or from when on again."""
+        self._carriers: dict[int, int] = {}
+        """Rank of the message that each unit is watched by."""
+        self._std: tuple[float, ...] = ()
+        """What goes with the first sample of another unit, as ``ImuSample`` has it."""
         self.last_us = -1
         self._is_marked = False
         """Whether HIGHRES_IMU has said of a sample that it is new: then it says so of each."""
@@ -81,6 +96,10 @@ class Inertial(InertialState):
                 return []
             out, is_sure = followed, not context.clock.is_in_doubt
         t_ns = t_us * 1000
+        sample = (gx, gy, gz, ax, ay, az)
+        is_whole = is_sure and (updated & ACCEL_GYRO == ACCEL_GYRO or not self._is_marked)
+        if is_whole and self._is_done(out, instance, 0, t_us, sample):
+            return out
         # The configured one goes first
         rank = 0 if instance == context.options.imu_id else instance + 1
         was = self.instances.rank
@@ -89,7 +108,7 @@ class Inertial(InertialState):
             return out
         if rank != was:
             self._note_instance(instance, is_better=rank < was)
-        sample = (gx, gy, gz, ax, ay, az)
+            self._use(instance, t_ns)
         if updated & ACCEL_GYRO:
             self._is_marked = True
         elif self._is_unmarked(sample):
@@ -128,6 +147,83 @@ class Inertial(InertialState):
             "its range"
         )
         return why != LIMITED
+
+    @property
+    def unit(self) -> int:
+        """Number of the unit in use."""
+        rank = self.sources.rank
+        return self.instance if rank == 0 else max(rank - 2, 0)
+
+    def resume(self, number: int, offset: Sample) -> None:
+        """Go on with a unit of a run before, and what was added to its readings."""
+        if self.sources.rank == 0:
+            self.instance = number
+            self.instances.use(0 if number == self._context.options.imu_id else number + 1)
+        self.lanes.resume(number, offset)
+        self.is_watching = self.lanes.is_shifted
+
+    def _is_done(
+        self, out: Measurements, unit: int, rank: int, t_us: int, sample: Sample
+    ) -> bool:
+        """Judge a unit by a sample beside the others; return whether that is all to be done.
+
+        It is where another is used; where this is the first of another one, ``out`` has it.
+        """
+        is_used = unit == self.unit
+        if not self.is_watching:
+            if is_used or t_us < self._look_us:
+                return False
+            self.is_watching, self._look_us = True, t_us + _LOOK_US
+        lanes, t_ns = self.lanes, t_us * 1000
+        carrier = self._carriers.get(unit, rank)
+        if is_used:
+            if rank != self.sources.rank:
+                return False
+        elif rank > carrier and not lanes.unit(unit).is_silent(t_ns):
+            return False
+        self._carriers[unit] = rank
+        became = lanes.add(unit, t_ns, *sample)
+        if became == USED:
+            if t_us >= self._look_us:
+                self.is_watching = lanes.is_shifted or lanes.has_spare(t_ns)
+                self._look_us = t_us + (_LOOK_US if self.is_watching else _PAUSE_US)
+            return False
+        if became == CHANGED:
+            self._change(out)
+            return True
+        # A unit that was left is not gone back to for being preferred
+        may_be_preferred = not lanes.knows(unit) and not lanes.is_shifted
+        if may_be_preferred or lanes.unit(self.unit).is_silent(t_ns):
+            return False
+        self._context.refused[f"{SOURCES[rank]}: another unit is used"] += 1
+        return True
+
+    def _change(self, out: Measurements) -> None:
+        """Use the unit that was found to be better, from its first sample that was not used on."""
+        change = self.lanes.changes[-1]
+        rank = self._carriers[change.used]
+        self.sources.use(rank)
+        if rank == 0:
+            self.instance = change.used
+            is_first = change.used == self._context.options.imu_id
+            self.instances.use(0 if is_first else change.used + 1)
+        self.begin_stream()
+        self._std = change.std
+        self._context.refused["IMU: unit changed"] += 1
+        self._context.notes.append(
+            f"Inertial sensor {change.used} is used: {change.left} is {change.why}"
+        )
+        for t_ns, *numbers in change.ready:
+            gx, gy, gz, ax, ay, az = numbers
+            self._emit(out, t_ns // 1000, (gx, gy, gz, ax, ay, az))
+
+    def _use(self, unit: int, t_ns: int) -> None:
+        """Take into account that another unit is used, since the one before has been silent."""
+        count = len(self.lanes.changes)
+        self.lanes.use(unit, t_ns)
+        if len(self.lanes.changes) > count:
+            self._std = self.lanes.changes[-1].std
+            self.is_watching = True
 
     def _is_unmarked(self, sample: Sample) -> bool:
         """Whether a sample is new that is not marked so, as its sender never marks one."""
@@ -189,12 +285,30 @@ class Inertial(InertialState):
         else:
             rates = (xgyro * 1e-3, ygyro * 1e-3, zgyro * 1e-3)
             forces = (xacc * _MILLI_G, yacc * _MILLI_G, zacc * _MILLI_G)
+            if not self._context.clock.is_in_doubt and self._is_done(
+                out, max(rank - 2, 0), rank, t_us, rates + forces
+            ):
+                self._add_field(out, rank, t_ns, xmag, ymag, zmag, rates)
+                return
             if self._is_stuck(rank, t_us, rates + forces):
                 return
             is_sure = not self._context.clock.is_in_doubt
             t_ns = self._add(out, rank, t_us, rates + forces, is_sure)
             if not is_sure:
                 return
+        self._add_field(out, rank, t_ns, xmag, ymag, zmag, rates)
+
+    def _add_field(
+        self,
+        out: Measurements,
+        rank: int,
+        t_ns: int,
+        xmag: int,
+        ymag: int,
+        zmag: int,
+        rates: tuple[float, float, float] | None,
+    ) -> None:
+        """Append the field, milligauss, that came with a sample."""
         if rank >= FIRST_OTHER:
             # a third compass comes without a third inertial sensor too
             self._mag.compare(rank, t_ns, (xmag * 1e-3, ymag * 1e-3, zmag * 1e-3), rates)
@@ -228,23 +342,38 @@ class Inertial(InertialState):
         else:
             if rank != was:
                 self._note_source(was, rank)
-            trim = self._trim
-            if trim.first_ns is None:
-                trim.first_ns = t_ns
-            if trim.rows is not None:
-                sample = (*trim.to_vehicle(*sample[:3]), *trim.to_vehicle(*sample[3:]))
-            if not is_sure:
-                out.append(ImuSample(t_ns, *sample))
-                return t_ns
-            self.last_us = t_us
-            if self.dejitter is not None:
-                sampled = self.dejitter.smooth(t_us)
-                if sampled is None:
-                    context.refuse(f"IMU: {OUT_OF_ORDER}")
-                    return t_ns
-                t_ns = sampled
-            out.append(ImuSample(t_ns, *sample))
+                self._use(self.unit, t_ns)
+            if is_sure:
+                return self._emit(out, t_us, sample)
+            out.append(ImuSample(t_ns, *self._in_vehicle(t_ns, sample)))
         return t_ns
+
+    def _emit(self, out: Measurements, t_us: int, sample: Sample) -> int:
+        """Append a sample of the unit in use; return its time, ns."""
+        self.last_us, t_ns = t_us, t_us * 1000
+        sample = self._in_vehicle(t_ns, sample)
+        if self.dejitter is not None:
+            sampled = self.dejitter.smooth(t_us)
+            if sampled is None:
+                self._context.refuse(f"IMU: {OUT_OF_ORDER}")
+                return t_ns
+            t_ns = sampled
+        std, self._std = self._std, ()
+        out.append(ImuSample(t_ns, *sample, *std))
+        return t_ns
+
+    def _in_vehicle(self, t_ns: int, sample: Sample) -> Sample:
+        """Return a sample in the axes of the vehicle, continued from those of the unit before."""
+        if self.lanes.is_shifted:
+            sample = self.lanes.shifted(sample)
+        trim = self._trim
+        if trim.first_ns is None:
+            trim.first_ns = t_ns
+        if trim.rows is None:
+            return sample
+        gx, gy, gz = trim.to_vehicle(*sample[:3])
+        ax, ay, az = trim.to_vehicle(*sample[3:])
+        return gx, gy, gz, ax, ay, az
 
     def _note_source(self, was: int, now: int) -> None:
         self.begin_stream()

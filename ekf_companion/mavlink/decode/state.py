@@ -26,6 +26,7 @@ class InertialState(Ranked):
     repetition: Repetition
     dejitter: Dejitter | None
     last_us: int
+    is_watching: bool
 
 
 class FieldState(Ranked):
