@@ -104,6 +104,8 @@ class SpareConfig:
     """One sigma of what the calibration of each leaves, per axis, gauss: assumed."""
     receivers: Annotated[int, msgspec.Meta(ge=0, le=1)] = 0
     """Receivers, as good as the first, with an antenna in its place: GPS2_RAW."""
+    units: Annotated[int, msgspec.Meta(ge=0, le=2)] = 0
+    """Inertial units, as good as the first: in SCALED_IMU2 and SCALED_IMU3 too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

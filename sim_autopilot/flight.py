@@ -113,6 +113,8 @@ class Cycle(NamedTuple):
     """Of the other magnetometers, with ``mag_b``, gauss."""
     spare_fix: Fix | None = None
     """Of the other receiver; None: nothing new."""
+    spare_imu: tuple[tuple[Vector, Vector], ...] = ()
+    """Rate and specific force of the other inertial units, rad/s and m/s^2."""
     range_m: float | None = None
     """To the ground along the body's down axis; None: there is no range finder."""
     airspeed: float | None = None
@@ -140,6 +142,7 @@ class Flight:
     mag: sensors.MagData
     spare_mag: tuple[sensors.MagData, ...]
     spare_gnss: sensors.GnssData | None
+    spare_imu: tuple[sensors.ImuData, ...]
     baro: sensors.BaroData
     range_white: Array
     """Unit white noise of the range finder, shape (n,); (0,) without one."""
@@ -192,6 +195,10 @@ class Flight:
         spare_gnss = None
         if config.spare.receivers:
             spare_gnss = sensors.gnss(trajectory, config.gnss, rng["gnss 2"], fix_t)
+        spare_imu = [
+            sensors.imu(trajectory, config.imu, generator, t, period)
+            for generator in (rng["imu 2"], rng["imu 3"])[: config.spare.units]
+        ]
         airspeed = wheel = np.zeros(0)
         if config.airspeed.fitted:
             late = trajectory.at(t - config.airspeed.delay)
@@ -219,6 +226,7 @@ class Flight:
             mag=sensors.compass(trajectory, config.compass, rng["compass"], mag_t),
             spare_mag=tuple(spare_mag),
             spare_gnss=spare_gnss,
+            spare_imu=tuple(spare_imu),
             baro=sensors.baro(trajectory, config.baro, rng["baro"], baro_t),
             range_white=rng["range"].standard_normal(count * config.range_finder.fitted),
             airspeed=airspeed,
@@ -279,11 +287,12 @@ class Flight:
                 self._ranges(truth, part),
                 _or_none(self.airspeed, part, len(truth.t)),
                 _or_none(self.wheel, part, len(truth.t)),
+                self._spare_imu(part, len(truth.t)),
                 strict=True,
             )
             for number, row in enumerate(rows, start):
                 t_s, gyro, accel, gyro_bias, accel_bias, true, estimate, armed, landed = row[:9]
-                far, airspeed, wheel_m = row[9:]
+                far, airspeed, wheel_m, spare_imu = row[9:]
                 now_ns = self.to_ns(t_s)
                 yield Cycle(
                     number=number,
@@ -302,6 +311,7 @@ class Flight:
                     accel_bias_b=tuple(accel_bias),
                     spare_mag_b=spare_mag.get(number, ()),
                     spare_fix=spare_fixes.get(number),
+                    spare_imu=spare_imu,
                     range_m=far,
                     airspeed=airspeed,
                     wheel_m=wheel_m,
@@ -312,6 +322,15 @@ class Flight:
         columns = (data.t, data.lat, data.lon, data.alt, data.vel_n, data.yaw)
         for t, lat, lon, alt, vel_n, yaw in zip(*(c.tolist() for c in columns), strict=True):
             yield Fix(self.to_ns(t), lat, lon, alt, tuple(vel_n), yaw)
+
+    def _spare_imu(self, part: slice, count: int) -> list[tuple[tuple[Vector, Vector], ...]]:
+        """Return the readings of the other inertial units, by cycle."""
+        found: list[list[tuple[Vector, Vector]]] = [[] for _ in range(count)]
+        for one in self.spare_imu:
+            rows = zip(one.gyro_b[part].tolist(), one.accel_b[part].tolist(), strict=True)
+            for units, (gyro, accel) in zip(found, rows, strict=True):
+                units.append((tuple(gyro), tuple(accel)))
+        return [tuple(units) for units in found]
 
     def _flows(self, data: sensors.FlowData) -> Iterator[Flow]:
         columns = (data.t, data.flow, data.gyro, data.quality)

@@ -95,7 +95,9 @@ class FirmwareSensors:
 
     def fields(self, name: str, cycle: Cycle) -> Fields | None:
         """Return the fields of a message of sensors or estimate; None: it is not sent now."""
-        if name in _INERTIAL and (not cycle.has_imu or self._is_missing()):
+        spare = _SPARE_COMPASSES.index(name) if name in _SPARE_COMPASSES else len(cycle.spare_imu)
+        is_other = spare < len(cycle.spare_imu)
+        if name in _INERTIAL and not ((cycle.has_imu or is_other) and not self._is_missing()):
             return None
         if name == "GPS_GLOBAL_ORIGIN" and not self._has_origin(cycle.flight_ns):
             return None
@@ -109,9 +111,12 @@ class FirmwareSensors:
             return None if flow is None else _FLOW[name](self._config, flow)
         # The latest magnetometer and barometer samples, new or not
         mag_b, spares = self._mag_b, self._spare_mag_b
-        if name in _SPARE_COMPASSES and spares:
+        if name in _SPARE_COMPASSES[: len(spares)]:
             mag_b = spares[_SPARE_COMPASSES.index(name)]
         cycle = cycle._replace(mag_b=mag_b, baro=self._baro)
+        if is_other:
+            gyro_b, accel_b = cycle.spare_imu[spare]
+            cycle = cycle._replace(gyro_b=gyro_b, accel_b=accel_b)
         if name == "HIGHRES_IMU":
             return self._highres_imu(cycle)
         return BUILDERS[name](self._config, cycle)

@@ -174,9 +174,9 @@ def _spares(config: SimConfig, kind: Kind) -> dict[str, float]:
     PX4 has no AIRSPEED: its airspeed is in VFR_HUD, and SYS_STATUS tells of the sensor.
     """
     spare = config.spare
-    compasses = ("SCALED_IMU2", "SCALED_IMU3")[: spare.compasses]
+    boards = ("SCALED_IMU2", "SCALED_IMU3")[: max(spare.compasses, spare.units)]
     asked = (
-        *compasses,
+        *boards,
         *("GPS2_RAW",) * spare.receivers,
         *("DISTANCE_SENSOR",) * config.range_finder.fitted,
         *("AIRSPEED",) * (config.airspeed.fitted and kind is Kind.ARDUPILOT),

@@ -112,6 +112,8 @@ def generators(seed: int) -> dict[str, np.random.Generator]:
         "airspeed",
         "wheel",
         "flow",
+        "imu 2",
+        "imu 3",
     )
     sequences = np.random.SeedSequence(seed).spawn(len(names))
     return dict(zip(names, map(np.random.default_rng, sequences), strict=True))

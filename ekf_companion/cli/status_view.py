@@ -107,7 +107,10 @@ def _times(count: int) -> str:
 
 def _inertial(imu: Data) -> str:
     text = f"{imu['message']}, sensor {imu['instance']}, {imu['rate']:.1f} Hz"
-    return f"{text}, stamps brought back to the samples" if imu["is_dejittered"] else text
+    text += ", stamps brought back to the samples" if imu["is_dejittered"] else ""
+    units = imu["units"].items()
+    others = [f"sensor {number} {words}" for number, words in units if words != "used"]
+    return "; ".join([text, *others])
 
 
 def _time(time: Data) -> str:

@@ -40,6 +40,10 @@ class LinkConfig:
     200 requested gives 125. ArduPilot uses whole milliseconds (250 is 4 ms) and denies more than
     0.8 of SCHED_LOOP_RATE: at a loop of 50 Hz request 40. At 250 they take 19 kB/s, a fifth of a
     serial link of 921600; at 57600 request 50."""
+    spare_imu_rate: Rate = 10.0
+    """Rate of SCALED_IMU2 and SCALED_IMU3 to request of an ArduPilot, with the other compasses and
+    inertial units. 10 is enough for compasses. From a quarter of imu_rate on, at 100, the inertial
+    units are judged by each other, and one that fails is left within 0.2 s: 3.6 kB/s each."""
     gnss_rate: Rate = 10.0
     """Rate of GNSS messages to request: twice the receiver's rate halves the delay of a fix."""
     heading_rate: Rate = 10.0

@@ -19,6 +19,7 @@ BITS = 10
 """Bits on the wire for each byte: 8N1."""
 _KEYS = {
     "HIGHRES_IMU": "link.imu_rate",
+    "SCALED_IMU2": "link.spare_imu_rate",
     "GPS_RAW_INT": "link.gnss_rate",
     "ATTITUDE": "link.heading_rate",
     "SCALED_PRESSURE": "link.baro_rate",

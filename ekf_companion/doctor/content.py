@@ -9,6 +9,7 @@ from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.mavlink.clock import FOREIGN, NO_TIME
+from ekf_companion.mavlink.decode.inertial import ANOTHER_UNIT, UNIT_CHANGED
 from ekf_companion.mavlink.session import MISADDRESSED
 from ekf_companion.status.snapshot import TimeState
 
@@ -169,6 +170,7 @@ def values(evidence: Evidence) -> StageResult:
         why: count
         for why, count in evidence.refused.items()
         if why not in ("IMU: a better source speaks", "GPS_RAW_INT: first after none")
+        and not why.endswith(ANOTHER_UNIT)
         and not _is_of_time(why)
         and not why.endswith(MISADDRESSED)
     }
@@ -194,6 +196,14 @@ def _inertial(evidence: Evidence) -> Iterator[Problem]:
         yield failed(
             f"{evidence.stamps.message} comes with zeros: there is no sensor behind it.",
             "Let the autopilot send RAW_IMU or HIGHRES_IMU: SRn_RAW_SENS = 50.",
+        )
+    if changes := evidence.refused.get(UNIT_CHANGED, 0):
+        often = "once" if changes == 1 else f"{changes} times"
+        yield warning(
+            f"An inertial unit was left for another, {often}: the log and the status say which, "
+            "and why.",
+            "Look at its mounting, its range and its temperature; ArduPilot: INS_ENABLE_MASK "
+            "leaves one out.",
         )
     if other > 0.5 * count:
         yield failed(

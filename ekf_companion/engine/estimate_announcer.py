@@ -99,6 +99,7 @@ class EstimateAnnouncer:
         self._resets, self._imu_source, self._strays = 0, "", 0
         self._jumps, self._silence = 0, ""
         self._receiver = self._compass = 0
+        self._unit = self._session.decoder.inertial.unit
         self._decimated, self._is_position_autopilots = 0, False
         self._odd: set[str] = set()
 
@@ -168,6 +169,10 @@ class EstimateAnnouncer:
             words = f"IMU is {imu_source}, was {self._imu_source}"
             self._tell("imu", Severity.WARNING, words)
         self._imu_source = imu_source
+        unit, was = self._session.decoder.inertial.unit, self._unit
+        if unit != was:
+            self._tell("unit", Severity.WARNING, f"IMU {unit} is used, was {was}")
+        self._unit = unit
         if health.is_position_autopilots and not self._is_position_autopilots:
             _log.warning(
                 "No fix of the receiver (GPS_RAW_INT) comes: the position is the autopilot's own "

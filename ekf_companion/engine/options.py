@@ -49,6 +49,8 @@ def _rates(link: LinkConfig) -> dict[str, float]:
     return {
         **RATES,
         "HIGHRES_IMU": link.imu_rate,
+        "SCALED_IMU2": link.spare_imu_rate,
+        "SCALED_IMU3": link.spare_imu_rate,
         "GPS_RAW_INT": link.gnss_rate,
         "ATTITUDE": link.heading_rate,
         "SCALED_PRESSURE": link.baro_rate,

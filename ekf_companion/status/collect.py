@@ -100,12 +100,15 @@ def output_state(
 def imu_state(session: Session, messages: Mapping[str, MessageState]) -> ImuState:
     """Return the source of the inertial samples, given the messages that are heard."""
     decoder = session.decoder
-    message = messages.get(decoder.imu_source)
+    message, lanes = messages.get(decoder.imu_source), decoder.inertial.lanes
     return ImuState(
         message=decoder.imu_source,
-        instance=decoder.inertial.instance,
+        instance=decoder.inertial.unit,
         rate=0.0 if message is None else message.rate,
         is_dejittered=decoder.inertial.is_dejittered,
+        units=decoder.inertial.units(),
+        faults={str(one.number): one.faults for one in lanes.units if one.faults},
+        changes=len(lanes.changes),
     )
 
 

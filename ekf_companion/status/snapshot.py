@@ -178,6 +178,16 @@ class ImuState:
     is_dejittered: Annotated[
         bool, gauge("inertial_dejittered", "1 while stamps are brought back to the samples.")
     ]
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Each inertial unit that is heard, by its number, and what becomes of it: used, spare, or why
+    it is not; empty: there is one."""
+    faults: Annotated[
+        Mapping[str, int], counter("inertial_unit_faults", "Of each unit.", ("unit",))
+    ] = field(default_factory=dict)
+    """How often each was found at fault."""
+    changes: Annotated[
+        int, counter("inertial_unit_changes", "How often another unit was used.")
+    ] = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -243,6 +243,20 @@ _SETUP: _Kinds = {
         3600.0,
         {"forward": Number(0.02, -10.0, 10.0), "right": Number(0.0, -10.0, 10.0)},
     ),
+    "imu-step": (
+        "accelerometer and gyro are off at once, m/s^2 and rad/s",
+        3600.0,
+        {
+            "forward": Number(1.0, -100.0, 100.0),
+            "down": Number(0.0, -100.0, 100.0),
+            "yaw": Number(0.0, -10.0, 10.0),
+        },
+    ),
+    "imu-noise": (
+        "accelerometer and gyro are noisy at once, one sigma, m/s^2 and rad/s",
+        3600.0,
+        {"accel": Number(3.0, 0.0, 100.0), "gyro": Number(0.3, 0.0, 10.0)},
+    ),
 }
 _PASSING = ((Layer.WIRE, _WIRE), (Layer.CLOCK, _CLOCK), (Layer.SENSOR, _SENSOR))
 KINDS = {

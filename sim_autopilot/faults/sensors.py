@@ -77,6 +77,8 @@ class SensorFaults:
             "mounting": _mounting,
             "own-estimate": _own_estimate,
             "accel-drift": _accel_drift,
+            "imu-step": _imu_step,
+            "imu-noise": _imu_noise,
         }
 
     def apply(self, cycle: Cycle) -> Cycle:
@@ -329,6 +331,21 @@ def _accel_drift(fault: Fault, cycle: Cycle, t: float) -> Cycle:
     return cycle._replace(
         accel_b=(x + fault.number("forward") * t, y + fault.number("right") * t, z)
     )
+
+
+def _imu_step(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    (x, y, z), (p, q, r) = cycle.accel_b, cycle.gyro_b
+    return cycle._replace(
+        accel_b=(x + fault.number("forward"), y, z + fault.number("down")),
+        gyro_b=(p, q, r + fault.number("yaw")),
+    )
+
+
+def _imu_noise(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    drawn = np.random.default_rng(cycle.number).standard_normal((2, 3))
+    gyro = np.array(cycle.gyro_b) + fault.number("gyro") * drawn[0]
+    accel = np.array(cycle.accel_b) + fault.number("accel") * drawn[1]
+    return cycle._replace(gyro_b=tuple(gyro.tolist()), accel_b=tuple(accel.tolist()))
 
 
 def _moved(fix: Fix, north: float, east: float, down: float) -> Fix:

@@ -15,7 +15,7 @@ from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
-from ekf_companion.nav.lanes import CHANGED, USED, Lanes
+from ekf_companion.nav.lanes import CHANGED, USED, Lanes, Unit
 from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
@@ -29,6 +29,8 @@ _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
 REPEATED, OUT_OF_ORDER = "stamp repeated", "out of order"
 """Why a sample is refused for its stamp."""
+ANOTHER_UNIT, UNIT_CHANGED = "another unit is used", "IMU: unit changed"
+"""Why a sample is not used; and the count of changes."""
 _NO_SAMPLE = (0.0,) * 6
 _LOOK_US = 2_000_000
 """Time for which a second unit is looked at, us, before it is known whether it is one to go to."""
@@ -154,6 +156,22 @@ class Inertial(InertialState):
         rank = self.sources.rank
         return self.instance if rank == 0 else max(rank - 2, 0)
 
+    def units(self) -> dict[str, str]:
+        """Return what becomes of each unit that is heard, by its number; empty: there is one."""
+        if len(self.lanes.units) < 2:
+            return {}
+        return {str(one.number): self._words(one) for one in self.lanes.units}
+
+    def _words(self, one: Unit) -> str:
+        """Return what becomes of a unit."""
+        if one.number == self.unit:
+            return "used"
+        if not one.faults:
+            return "spare"
+        found = f"{one.why} at {one.failed_ns * 1e-9:.1f} s"
+        is_over = not one.has_failed(self.lanes.unit(self.unit).t_ns)
+        return f"spare, was {found}" if is_over else found
+
     def resume(self, number: int, offset: Sample) -> None:
         """Go on with a unit of a run before, and what was added to its readings."""
         if self.sources.rank == 0:
@@ -195,7 +213,7 @@ class Inertial(InertialState):
         may_be_preferred = not lanes.knows(unit) and not lanes.is_shifted
         if may_be_preferred or lanes.unit(self.unit).is_silent(t_ns):
             return False
-        self._context.refused[f"{SOURCES[rank]}: another unit is used"] += 1
+        self._context.refused[f"{SOURCES[rank]}: {ANOTHER_UNIT}"] += 1
         return True
 
     def _change(self, out: Measurements) -> None:
@@ -209,7 +227,7 @@ class Inertial(InertialState):
             self.instances.use(0 if is_first else change.used + 1)
         self.begin_stream()
         self._std = change.std
-        self._context.refused["IMU: unit changed"] += 1
+        self._context.refused[UNIT_CHANGED] += 1
         self._context.notes.append(
             f"Inertial sensor {change.used} is used: {change.left} is {change.why}"
         )

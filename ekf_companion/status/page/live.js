@@ -158,6 +158,7 @@ function showState(status) {
     ["ODOMETRY", output.is_allowed ? `${fixed(output.rate, 0)} Hz${output.silence ? `, ${output.silence}` : ""}` : `withheld: ${output.reason}`],
     ["to change", output.remedy],
     ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
+    ...Object.entries(imu.units ?? {}).map(([number, words]) => [`inertial unit ${number}`, words]),
     ["age of the newest", fixed(status.sample_age_s, 1, " s"), isOld ? "bad" : ""],
     ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
       name, wordsOf(name, aid), aid.state === "used" || name === "rest" ? "" : "bad"]),
