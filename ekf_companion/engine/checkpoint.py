@@ -49,6 +49,7 @@ from ekf_companion.engine.checkpoint_parts import (
     Why,
 )
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.repetition import Sample
 from ekf_companion.version import __version__
 
 MAGIC = b"\x89EKFCKPT"
@@ -115,7 +116,7 @@ class Checkpoint:
     """What the autopilot's altitudes are above ours, m; NaN: not known, or of no importance."""
     unit: int = 0
     """Number of the inertial unit in use."""
-    unit_offset: tuple[float, ...] = (0.0,) * 6
+    unit_offset: Sample = (0.0,) * 6
     """What is added to its readings, rad/s and m/s^2: they continue those of another one."""
     starts: int = 0
     """Restarts from checkpoints in a row, none of which lasted a minute."""
@@ -249,7 +250,8 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     )
     *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id = rest[:11]
     *numbers, size, count = rest[11:]
-    datum, unit, *offset = numbers[6:]
+    datum, unit, gx, gy, gz, ax, ay, az = numbers[6:]
+    offset = gx, gy, gz, ax, ay, az
     datum = datum if abs(datum) < _HIGHEST else math.nan
     vehicle = Vehicle(family.rstrip(b"\0").decode(errors="replace"), system_id, component_id)
     clocks = Clocks(unix_ns, boot_ns, boot_id)
@@ -302,7 +304,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         datum=datum,
         sources=Sources(*sources),
         unit=unit,
-        unit_offset=tuple(offset),
+        unit_offset=offset,
         starts=starts,
     )
 

@@ -153,11 +153,11 @@ class EventMaker:
         if not rows:
             return []
         order = np.argsort(np.concatenate(rows), kind="stable")
-        number, row, t_ns, values = (
+        of, row, t_ns, values = (
             np.concatenate(each)[order] for each in (numbers, rows, stamps, samples)
         )
         is_bad = np.zeros(len(row), dtype=bool)
-        at, used_ns, values = self._units.take(number, t_ns, values, is_bad)
+        at, used_ns, values = self._units.take(of, t_ns, values, is_bad)
         return [(EventColumns(used_ns, Kind.IMU, *values.T), row[at])]
 
     def _barometer(self, part: _Part) -> Arrivals:

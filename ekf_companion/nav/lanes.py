@@ -35,8 +35,9 @@ _BLOCK = 0.04
 """The same, s."""
 KEPT = 8
 """Blocks that are kept of each unit."""
-LONGEST = 3
-"""Blocks that are averaged for a small fault; as many before them say what was before."""
+SHORTEST, LONGEST = 2, 3
+"""Blocks whose mean is compared: of one alone vibration makes anything. As many before them say
+what was before."""
 _GAP_NS = 250_000_000
 """ns: longer without a sample, a block is not whole."""
 _SILENT_NS = 100_000_000
@@ -57,8 +58,9 @@ _WHITE = 0.1
 """Time in which a unit's white noise is learnt as it rises, s; it falls five times as slowly."""
 _MOVING = 50
 """Blocks over which motion is learnt, by which a change is likely or not: 2 s."""
-SIGMAS = 5.0
-"""A difference beyond it is no chance: six axes give one in some hours."""
+SIGMAS = 4.0
+"""A difference beyond it is no chance, or it takes a change of one unit alone beside: of two units
+in the vibration of recorded flights none was left in ten minutes (``benchmarks/accuracy``)."""
 _RATE, _FORCE = 0.02, 0.2
 """rad/s and m/s^2: a smaller difference is one of biases, which the filter estimates; one sigma of
 theirs at its start."""
@@ -66,7 +68,7 @@ _SCALE = 0.02
 """By which share of the motion two units may differ: 1 % of scale and a degree of mounting."""
 _LATENESS = 0.005
 """And by which time, s."""
-_LIKELIER = math.log(20.0)
+_LIKELIER = math.log(100.0)
 """Log-likelihood ratio beyond which one of two is at fault and not the other."""
 _LASTING_NS = 10_000_000_000
 """A unit that failed is not gone to for so long; a difference that lasted for it is the usual one
@@ -95,6 +97,7 @@ UNKNOWN = 1e3
 """rad/s and m/s^2: no bias is so large."""
 STDS = 4
 """Numbers of a change: see :attr:`Change.std`."""
+_SURE = (0.0,) * STDS
 
 Numbers6 = tuple[float, float, float, float, float, float]
 Waiting = tuple[int, float, float, float, float, float, float]
@@ -114,8 +117,8 @@ class Change(NamedTuple):
     offset: Numbers6
     """To be added to the readings of the unit in use: rad/s, m/s^2."""
     std: tuple[float, float, float, float]
-    """By how much its biases may differ from those that were estimated (rad/s, m/s^2;
-    ``UNKNOWN``: nobody knows), and what the unit before may have turned and gained that was none (rad, m/s)."""
+    """By how much its biases may differ from those that were estimated (rad/s, m/s^2; ``UNKNOWN``:
+    nobody knows), and what the unit before may have turned and gained that was none (rad, m/s)."""
     ready: tuple[Waiting, ...]
     """Its samples that are later than all that were used."""
 
@@ -233,10 +236,10 @@ class Unit:
 
     def has(self, first: int, last: int) -> bool:
         """Return whether these blocks are whole."""
+        count = 0
         for block in range(first, last + 1):
-            if self.whole[block % 8] != block:
-                return False
-        return True
+            count += self.whole[block % 8] == block
+        return count == last - first + 1
 
     def over(self, axis: int, first: int, last: int) -> float:
         """Return the mean of an axis over some blocks."""
@@ -264,7 +267,8 @@ class Pair:
     def __init__(self) -> None:
         if not cython.compiled:
             self.usual, self.spread, self.slow = [0.0] * 6, [0.0] * 6, [0.0] * 6
-            self.drift, self.moves = [0.0] * 6, [0.0] * 6
+            self.drift, self.moves, self.white = [0.0] * 6, [0.0] * 6, [0.0] * 6
+            self.motion = [0.0] * 2
         self.begin()
 
     def begin(self) -> None:
@@ -272,11 +276,12 @@ class Pair:
         self.count = 0
         self.since: int = _NEVER
         """First block of a difference that is none of the usual, until it is over."""
+        self.motion[0] = self.motion[1] = 0.0
         self.blamed = 0
         """Whose fault it is: 1 the first one's, 2 the second's, 0: nobody knows."""
         for axis in range(6):
             self.usual[axis] = self.spread[axis] = 0.0
-            self.slow[axis] = self.drift[axis] = self.moves[axis] = 0.0
+            self.slow[axis] = self.drift[axis] = self.moves[axis] = self.white[axis] = 0.0
 
     def is_known(self) -> bool:
         """Return whether the usual difference is known."""
@@ -304,27 +309,33 @@ class Pair:
     def _learn(self, one: Unit, other: Unit, block: int) -> None:
         self.count += 1
         share = 1.0 / min(self.count, _MEMORY)
-        place, was = block % 8, (block - 1) % 8
+        place, first = block % 8, block - LONGEST + 1
+        has_windows = one.has(first - LONGEST, block) and other.has(first - LONGEST, block)
         has_before = one.has(block - 1, block) and other.has(block - 1, block)
+        if has_before:
+            for sensor in range(2):
+                moved = self._motion(one, other, block, 1, sensor)
+                self.motion[sensor] += share * (moved - self.motion[sensor])
         for axis in range(6):
             off = one.mean[place][axis] - other.mean[place][axis] - self.usual[axis]
             self.usual[axis] += share * off
+            white = min(one.white[axis], other.white[axis])
+            self.white[axis] += share * (white - self.white[axis])
             if self.count > 1:
                 self.spread[axis] += share * (off * off - self.spread[axis])
                 self.slow[axis] += (off - self.slow[axis]) / min(self.count, _SLOW)
                 slow = self.slow[axis]
                 self.drift[axis] += share * (slow * slow - self.drift[axis])
-            if has_before:
-                a = one.mean[place][axis] - one.mean[was][axis]
-                b = other.mean[place][axis] - other.mean[was][axis]
-                self.moves[axis] += (min(a * a, b * b) - self.moves[axis]) / min(
-                    self.count, _MOVING
-                )
+            if has_windows:
+                # What both see is motion
+                a = one.over(axis, first, block) - one.over(axis, first - LONGEST, first - 1)
+                b = other.over(axis, first, block) - other.over(axis, first - LONGEST, first - 1)
+                self.moves[axis] += (a * b - self.moves[axis]) / min(self.count, _MOVING)
 
     def _is_unusual(self, one: Unit, other: Unit, block: int) -> bool:
         """Return whether the last blocks differ by what is neither usual nor noise nor motion."""
         for sensor in range(2):
-            for n in range(1, LONGEST + 1):
+            for n in range(SHORTEST, LONGEST + 1):
                 if self.excess(one, other, block, n, sensor) > 0.0:
                     return True
         return False
@@ -337,6 +348,25 @@ class Pair:
         first = block - n + 1
         if not (one.has(first - 1, block) and other.has(first - 1, block)):
             return 0.0
+        motion = self._motion(one, other, block, n, sensor)
+        known = self.motion[sensor]
+        least = _RATE if sensor == 0 else _FORCE
+        largest = 0.0
+        for axis in range(3 * sensor, 3 * sensor + 3):
+            off = one.over(axis, first, block) - other.over(axis, first, block) - self.usual[axis]
+            usual = self._noise(one, other, axis) / n + self.drift[axis]
+            # No more than motion of this size was found to be worth
+            moved = min(motion, self.spread[axis] * motion / known) if known > 0.0 else motion
+            limit = max(least, SIGMAS * math.sqrt(usual + moved))
+            largest = max(largest, abs(off) - limit)
+        return largest
+
+    def _motion(self, one: Unit, other: Unit, block: int, n: int, sensor: int) -> float:
+        """Return by how much the units may differ for the motion, squared.
+
+        Both see it: what one alone sees is a fault.
+        """
+        first = block - n + 1
         level_one = level_other = moved_one = moved_other = 0.0
         for axis in range(3 * sensor, 3 * sensor + 3):
             now, then = one.over(axis, first, block), one.over(axis, first - 1, first - 1)
@@ -347,18 +377,16 @@ class Pair:
             moved_other += (now - then) ** 2
         late = _LATENESS / _BLOCK
         motion = _SCALE * _SCALE * min(level_one, level_other)
-        motion += late * late * min(moved_one, moved_other)
-        least = _RATE if sensor == 0 else _FORCE
-        samples = n * _BLOCK / max(one.dt, other.dt, 1e-4)
-        largest = 0.0
-        for axis in range(3 * sensor, 3 * sensor + 3):
-            off = one.over(axis, first, block) - other.over(axis, first, block) - self.usual[axis]
-            # of vibration both have some, of a fault one
-            white = 2.0 * min(one.white[axis], other.white[axis]) / max(samples, 1.0)
-            usual = max(white, self.spread[axis] / n) + self.drift[axis]
-            limit = max(least, SIGMAS * math.sqrt(usual + motion))
-            largest = max(largest, abs(off) - limit)
-        return largest
+        return motion + late * late * min(moved_one, moved_other)
+
+    def _noise(self, one: Unit, other: Unit, axis: int) -> float:
+        """Return the variance of the difference of a block now: it grows with the white noise.
+
+        Of vibration both units have more, of a fault one.
+        """
+        white = min(one.white[axis], other.white[axis])
+        known = self.white[axis]
+        return self.spread[axis] * (white / known if white > known > 0.0 else 1.0)
 
     def blame(self, one: Unit, other: Unit, block: int) -> int:
         """Return which of the two has changed by more than motion does: 1, 2; 0: nobody knows.
@@ -366,7 +394,7 @@ class Pair:
         Along their difference, which has begun just now: either one's change is the motion, and the
         other's has the fault in it.
         """
-        for n in range(1, LONGEST + 1):
+        for n in range(SHORTEST, LONGEST + 1):
             first = block - n + 1
             if not (one.has(first - n, block) and other.has(first - n, block)):
                 continue
@@ -384,8 +412,8 @@ class Pair:
                     )
                     y += off * (now - then)
                     length += off * off
-                    white = min(one.white[axis], other.white[axis]) * max(one.dt, other.dt)
-                    var += off * off * (2.0 * white / (n * _BLOCK) + n * self.moves[axis])
+                    noise = self._noise(one, other, axis) / n
+                    var += off * off * (noise + max(self.moves[axis], 0.0))
                 # x and y times the length, var times its square. What differs has begun just now:
                 # one of the two changes has it.
                 if abs(x - y) < 0.5 * length:
@@ -396,6 +424,16 @@ class Pair:
                 if ratio < -_LIKELIER and y * y > 4.0 * x * x:
                     return 2
         return 0
+
+    def size(self, one: Unit, other: Unit, block: int, sensor: int) -> float:
+        """Return by how much the last blocks differ beyond the usual."""
+        total = 0.0
+        for axis in range(3 * sensor, 3 * sensor + 3):
+            off = one.over(axis, block - LONGEST + 1, block)
+            off -= other.over(axis, block - LONGEST + 1, block)
+            off -= self.usual[axis]
+            total += off * off
+        return math.sqrt(total)
 
     def std(self, sensor: int) -> float:
         """Return one sigma of the usual difference, of the worst axis."""
@@ -421,8 +459,11 @@ class Lanes:
         self.changes: list[Change] = []
         self.units: list[Unit] = []
         self._pairs: dict[tuple[int, int], Pair] = {}
-        self.std: tuple[float, ...] = (0.0,) * STDS
-        """:attr:`Change.std`, until a sample of the unit has been used: for :func:`used_rows`."""
+        self.std: tuple[float, ...] = _SURE
+        """What goes with the next sample that is used, as in :attr:`Change.std`: to be taken by
+        :meth:`take_std`."""
+        self.doubts = 0
+        """How often two contradicted each other, and nobody knew which of them was wrong."""
         self._wanted: int = -1
         self._emitted_ns: int = _NEVER
         self._judged: int = _NEVER
@@ -479,10 +520,10 @@ class Lanes:
             if len(unit.waiting) > _WAITING:
                 del unit.waiting[0]
         used: Unit = self._unit(self.used)
-        if used.t_ns != _NEVER and used.is_silent(t_ns):
-            if self._leave(SILENT, t_ns):
-                return CHANGED
-        return CHANGED if self._judge(t_ns) else LEFT
+        is_silent = used.t_ns != _NEVER and used.is_silent(t_ns)
+        if (is_silent and self._leave(SILENT, t_ns)) or self._judge(t_ns):
+            return CHANGED
+        return LEFT
 
     def use(self, number: int, t_ns: int) -> None:
         """Use a unit from now on, for a reason that is not one of these; note it as a change."""
@@ -493,6 +534,12 @@ class Lanes:
             self.used = number
         else:
             self._change(self._unit(number), CHOSEN, t_ns)
+
+    def take_std(self) -> tuple[float, ...]:
+        """Return what goes with the sample that is used now, once."""
+        std = self.std
+        self.std = _SURE
+        return std
 
     def knows(self, number: int) -> bool:
         """Return whether the usual difference of a unit from that in use is known."""
@@ -508,9 +555,9 @@ class Lanes:
         used: Unit = self._unit(self.used)
         for unit in self.units:
             one: Unit = unit
-            if one is not used and one.is_steady() and not one.is_silent(t_ns):
-                if one.dt * _SHARE <= used.dt or used.dt == 0.0:
-                    return True
+            is_slow = one.dt * _SHARE > used.dt > 0.0
+            if one is not used and one.is_steady() and not one.is_silent(t_ns) and not is_slow:
+                return True
         return False
 
     def unit(self, number: int) -> Unit:
@@ -574,6 +621,7 @@ class Lanes:
         used: Unit = self._unit(self.used)
         if used not in live:
             return False
+        self._doubt(live, newest)
         is_wrong = False
         for unit in live:
             one = unit
@@ -591,6 +639,25 @@ class Lanes:
                 if one.chance > _SUSPECT and other.chance > _SUSPECT:
                     self._pair(one.number, other.number).judge(one, other, block)
 
+    def _doubt(self, live: list[Unit], block: int) -> None:
+        """Let the biases be found anew, where nobody knows which of two units is wrong."""
+        if len(live) != 2:
+            return
+        low: Unit = live[0]
+        high: Unit = live[1]
+        pair: Pair = self._pair(low.number, high.number)
+        if pair.blamed or not pair.is_apart() or block - pair.since != _RECENT:
+            return
+        found = [0.0, 0.0]
+        for sensor in range(2):
+            if pair.excess(low, high, block, LONGEST, sensor) > 0.0:
+                found[sensor] = pair.size(low, high, block, sensor)
+        gyro, accel = found
+        self.doubts += 1
+        self.std = _together(
+            self.std, (gyro, accel, _RECENT * _BLOCK * gyro, _RECENT * _BLOCK * accel)
+        )
+
     def _is_wrong(self, one: Unit, live: list[Unit]) -> bool:
         """Return whether a unit is at fault: two others agree against it, or one is likelier."""
         apart = agree = blamed = 0
@@ -606,22 +673,27 @@ class Lanes:
                 continue
             apart += 1
             blamed += pair.blamed == (1 if one.number < other.number else 2)
-        if agree:
-            return False
-        return self._are_together(one, live) if apart > 1 else blamed > 0
+        if apart > 1:
+            return apart > agree and self._are_together(one, live)
+        return blamed > agree
 
     def _are_together(self, one: Unit, live: list[Unit]) -> bool:
-        """Return whether two units beside one agree."""
+        """Return whether two units that contradict one agree with each other."""
         for first in range(len(live)):
             for second in range(first + 1, len(live)):
                 a: Unit = live[first]
                 b: Unit = live[second]
                 if a is one or b is one:
                     continue
-                pair: Pair = self._pair(a.number, b.number)
-                if pair.is_known() and not pair.is_apart():
+                if not (self._contradict(one, a) and self._contradict(one, b)):
+                    continue
+                if self._pair(a.number, b.number).is_known() and not self._contradict(a, b):
                     return True
         return False
+
+    def _contradict(self, one: Unit, other: Unit) -> bool:
+        pair: Pair = self._pair(one.number, other.number)
+        return pair.is_apart()
 
     def _follows_choice(self, t_ns: int) -> bool:
         """Change to the unit that the autopilot uses; return whether."""
@@ -681,6 +753,7 @@ class Lanes:
         for unit in self.units:
             unit.waiting.clear()
         std = pair.std(0), pair.std(1), turned, gained
+        self.std = _together(self.std, std)
         self.changes.append(Change(t_ns, used.number, to.number, why, offset, std, ready))
         self.used, self.offset, self.is_shifted = to.number, offset, True
         if ready:
@@ -723,7 +796,8 @@ class Lanes:
         is_used: Column[np.uint8],
     ) -> int:
         """Take rows from one on until the unit changes; return the row after, or their number."""
-        for n in range(first, t_ns.shape[0]):
+        end: int = t_ns.shape[0]
+        for n in range(first, end):
             became = self.add(
                 number[n],
                 t_ns[n],
@@ -736,9 +810,9 @@ class Lanes:
                 is_bad[n] != 0,
             )
             is_used[n] = became == USED
-            if became == CHANGED:
+            if became == CHANGED or self.std is not _SURE:
                 return n + 1
-        return t_ns.shape[0]
+        return end
 
 
 def used_rows(
@@ -762,26 +836,22 @@ def used_rows(
     rows: list[Stamps] = []
     times: list[Stamps] = []
     found: list[Array] = []
-    first, std = 0, lanes.std
+    first = 0
     while first < len(t_ns):
-        offset, changes = np.array(lanes.offset), len(lanes.changes)
+        offset, changes, std = np.array(lanes.offset), len(lanes.changes), lanes.take_std()
         end = lanes.follow(first, number, t_ns, values, bad, is_used)
         at = first + np.flatnonzero(is_used[first:end])
         rows.append(at)
         times.append(t_ns[at])
         found.append(_with_std(values[at] + offset if offset.any() else values[at], std))
-        std = (0.0,) * STDS if len(at) else std
-        if len(lanes.changes) > changes:
-            change = lanes.changes[changes]
-            std = _together(std, change.std)
-            if change.ready:
-                ready = np.array([one[1:] for one in change.ready]) + np.array(change.offset)
-                rows.append(np.full(len(ready), end - 1, dtype=np.int64))
-                times.append(np.array([one[0] for one in change.ready], dtype=np.int64))
-                found.append(_with_std(ready, std))
-                std = (0.0,) * STDS
+        if not len(at):
+            lanes.std = _together(std, lanes.std)
+        if len(lanes.changes) > changes and (ready := lanes.changes[changes].ready):
+            samples = np.array([one[1:] for one in ready]) + np.array(lanes.offset)
+            rows.append(np.full(len(ready), end - 1, dtype=np.int64))
+            times.append(np.array([one[0] for one in ready], dtype=np.int64))
+            found.append(_with_std(samples, lanes.take_std()))
         first = end
-    lanes.std = std
     return np.concatenate(rows), np.concatenate(times), np.concatenate(found)
 
 
@@ -793,4 +863,6 @@ def _with_std(values: Array, std: tuple[float, ...]) -> Array:
 
 
 def _together(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(math.hypot(a, b) for a, b in zip(one, other, strict=True))
+    if one is _SURE or other is _SURE:
+        return other if one is _SURE else one
+    return tuple([math.hypot(a, b) for a, b in zip(one, other, strict=True)])

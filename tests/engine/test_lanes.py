@@ -141,5 +141,3 @@ def test_the_estimate_is_no_worse_than_by_the_best_unit(seed):
     errors, jumps = steps(companion, flight)
     assert np.abs(jumps).max() < 3.0
     assert math.sqrt(np.mean(errors**2)) < 2.0
-
-

@@ -139,5 +139,3 @@ def test_a_run_that_goes_on_from_another_uses_the_unit_that_was_in_use():
     gyro_z = np.array([one.gyro_z for _, one in found])
     assert abs(np.mean(gyro_z - 0.3 * np.sin(0.4 * t))) < 2e-3
     assert len(found) > 900
-
-

@@ -42,7 +42,8 @@ class Units:
             motion = np.sin(rates[:, :, None] * t + phase[:, :, None]) * size[:, :, None]
             bias = rng.normal(0.0, 1.0, 6) * np.repeat([0.01, 0.1], 3)
             noise = rng.normal(0.0, 1.0, (len(t), 6)) * np.repeat([0.004, 0.05], 3)
-            values = motion.sum(axis=1).T + [0, 0, 0, 0, 0, -9.81] + bias + noise
+            gravity = np.array([0, 0, 0, 0, 0, -9.81])
+            values = motion.sum(axis=1).T + gravity + bias + noise
             self.t.append(t)
             self.values.append(values)
 
@@ -92,7 +93,7 @@ def step_accel(units, number):
 
 
 def step_gyro(units, number):
-    units.values[number][units.after(number), 2] -= 0.1
+    units.values[number][units.after(number), 2] -= 0.3
 
 
 def shake(units, number):
@@ -177,6 +178,19 @@ def test_what_the_unit_that_is_left_has_done_is_told():
     after, _ = units.left(lanes)
     assert lanes.changes[0].std[3] == pytest.approx(1.0 * after, rel=0.6)
     assert lanes.changes[0].std[3] >= 0.9 * after
+
+
+def test_nobody_knows_which_of_two_is_wrong_in_motion_and_the_biases_are_found_anew():
+    units = Units(1, moves=3.0)
+    units.values[0][units.after(0), 3] += 1.0
+    lanes, (_, t_ns, used) = units.run()
+    assert not lanes.changes
+    assert lanes.doubts == 1
+    (at,) = np.flatnonzero(used[:, 6:].any(axis=1))
+    assert (t_ns[at] - 10**9) * 1e-9 - units.begin < 0.4
+    # As uncertain as they differ, and as much as that has done since
+    assert used[at, 7] == pytest.approx(1.0, rel=0.3)
+    assert used[at, 9] == pytest.approx(0.2, rel=0.3)
 
 
 def test_nobody_knows_which_of_two_is_wrong_that_drift_apart():

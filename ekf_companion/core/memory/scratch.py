@@ -23,8 +23,8 @@ class ImuRow:
     gyro: Annotated[Vector, 3]
     accel: Annotated[Vector, 3]
     gyro_std: Real
-    """The first of another unit: one sigma of how its biases differ from those that were estimated,
-    rad/s; 0: it is the unit before."""
+    """The first of another unit, or of one that is doubted: one sigma of how its biases differ from
+    those that were estimated, rad/s; 0: neither."""
     accel_std: Real
     """m/s^2."""
     turned: Real

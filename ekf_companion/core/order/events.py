@@ -50,9 +50,7 @@ def is_sane(kind: int, values: Numbers) -> bool:
                 return False
             if not isfinite(values[3 + j]) or fabs(values[3 + j]) > LARGEST_FORCE:
                 return False
-        return (
-            values[6] >= 0.0 and values[7] >= 0.0 and 0.0 <= values[8] < 7.0 and values[9] >= 0.0
-        )
+        return values[6] >= 0.0 and values[7] >= 0.0 and 0.0 <= values[8] < 7.0 and values[9] >= 0.0
     if kind == KIND_GNSS:
         for j in range(3, 9):
             if not (isfinite(values[j]) or isnan(values[j])) or fabs(values[j]) > 1e5:

@@ -63,8 +63,6 @@ class Inertial(InertialState):
         """Until when a second unit is looked at, or from when on again."""
         self._carriers: dict[int, int] = {}
         """Rank of the message that each unit is watched by."""
-        self._std: tuple[float, ...] = ()
-        """What goes with the first sample of another unit, as ``ImuSample`` has it."""
         self.last_us = -1
         self._is_marked = False
         """Whether HIGHRES_IMU has said of a sample that it is new: then it says so of each."""
@@ -180,9 +178,7 @@ class Inertial(InertialState):
         self.lanes.resume(number, offset)
         self.is_watching = self.lanes.is_shifted
 
-    def _is_done(
-        self, out: Measurements, unit: int, rank: int, t_us: int, sample: Sample
-    ) -> bool:
+    def _is_done(self, out: Measurements, unit: int, rank: int, t_us: int, sample: Sample) -> bool:
         """Judge a unit by a sample beside the others; return whether that is all to be done.
 
         It is where another is used; where this is the first of another one, ``out`` has it.
@@ -226,7 +222,6 @@ class Inertial(InertialState):
             is_first = change.used == self._context.options.imu_id
             self.instances.use(0 if is_first else change.used + 1)
         self.begin_stream()
-        self._std = change.std
         self._context.refused[UNIT_CHANGED] += 1
         self._context.notes.append(
             f"Inertial sensor {change.used} is used: {change.left} is {change.why}"
@@ -240,7 +235,6 @@ class Inertial(InertialState):
         count = len(self.lanes.changes)
         self.lanes.use(unit, t_ns)
         if len(self.lanes.changes) > count:
-            self._std = self.lanes.changes[-1].std
             self.is_watching = True
 
     def _is_unmarked(self, sample: Sample) -> bool:
@@ -376,8 +370,7 @@ class Inertial(InertialState):
                 self._context.refuse(f"IMU: {OUT_OF_ORDER}")
                 return t_ns
             t_ns = sampled
-        std, self._std = self._std, ()
-        out.append(ImuSample(t_ns, *sample, *std))
+        out.append(ImuSample(t_ns, *sample, *self.lanes.take_std()))
         return t_ns
 
     def _in_vehicle(self, t_ns: int, sample: Sample) -> Sample:
