@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
+from ekf_companion.nav.inertial_pair import UNKNOWN
+from ekf_companion.nav.inertial_unit import STEP
 from ekf_companion.nav.lanes import (
     AXIS,
     CHANGED,
     CHOSEN,
     LEFT,
     SILENT,
-    STEP,
     UNHEALTHY,
-    UNKNOWN,
     USED,
     Lanes,
     used_rows,

@@ -34,7 +34,7 @@ READERS = {
     "logs": ("csv_lines", "dataflash_search", "json_objects", "tlog_search", "ulog_search"),
     "mavlink": ("dejitter", "payload", "reader", "sequence", "timebase"),
     "mavlink.decode": ("fix", "preference", "state"),
-    "nav": ("lanes", "repetition"),
+    "nav": ("inertial_pair", "inertial_unit", "lanes", "repetition"),
 }
 """What is compiled beside the kernel."""
 OVERLAY, MESSAGES = "core.memory.overlay", "mavlink.record"

@@ -15,7 +15,8 @@ from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
-from ekf_companion.nav.lanes import CHANGED, USED, Lanes, Unit
+from ekf_companion.nav.inertial_unit import Unit
+from ekf_companion.nav.lanes import CHANGED, USED, Lanes
 from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
