@@ -8,12 +8,15 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot import fly as live
 from sim_autopilot.autopilot import Kind
-from sim_autopilot.config import SimConfig
+from sim_autopilot.config import SimConfig, SpareConfig
 from sim_autopilot.faults import fault
 from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 from tests.daemon.test_daemon import SPEED, SYSTEM, US, Daemon, Record, Until, Wire, free_port
 from tests.daemon.waiting import LIMIT
+
+ALONE = SpareConfig()
+"""One sensor of each kind."""
 
 
 @dataclass
@@ -29,11 +32,11 @@ class Flown:
         return [unpack(f) for f in self.wire.frames() if f.message_id == IDS[name]]
 
 
-def fly(folder, kind, config, faults=(), duration=12.0, is_enough=None, **parameters):
+def fly(folder, kind, config, faults=(), duration=12.0, is_enough=None, spare=ALONE, **parameters):
     """Fly with a real daemon, until it is enough of what was heard, if that is given."""
     port = free_port()
     options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
-    plan = SimConfig(system_id=SYSTEM, parameters=parameters)
+    plan = SimConfig(system_id=SYSTEM, parameters=parameters, spare=spare)
     flight = Flight.plan("figure-eight", plan, duration=duration)
 
     async def body(link):

@@ -420,3 +420,26 @@ def test_no_row_is_a_fix_where_there_is_no_place(read):
         "3 rows of the receiver without a place, as 0, 0, were left out" in n for n in log.notes
     )
     assert np.degrees(log.events.values[:, 1]) == pytest.approx([8.1, 8.0, 8.1, -180.0], abs=1e-6)
+
+
+def test_of_several_inertial_units_one_that_is_stuck_is_left(read):
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 1.0, (2, 2000, 6)) * np.repeat([0.004, 0.05], 3)
+    means = np.array([[0, 0, 0, 0, 0, -9.81], [0.02, 0, 0, 0.1, 0, -9.71]])
+    values = noise + means[:, None]
+    values[0, 1500:] = values[0, 1500]
+    header = f"time_us,{IMU},{IMU.replace('gyro', 'gyro2').replace('accel', 'accel2')}"
+    rows = [
+        ",".join([str(1_000_000 + 10_000 * n), *(f"{one:.6f}" for one in values[:, n].ravel())])
+        for n in range(2000)
+    ]
+    recording = read("\n".join([header, *rows, ""]))
+    samples = of_kind(recording, Kind.IMU)
+    assert len(samples) >= 1990
+    # What the second's biases are beside the first's is taken off
+    np.testing.assert_allclose(samples.values[1600:, :3].mean(axis=0), 0.0, atol=1e-3)
+    np.testing.assert_allclose(samples.values[1600:, 3:6].mean(axis=0), [0, 0, -9.81], atol=0.01)
+    (note,) = [note for note in recording.notes if note.startswith("IMU")]
+    assert note.startswith("IMU: gyro2, accel2 is used from 15.")
+    assert note.endswith("gyro, accel is stuck")
+    assert np.count_nonzero(samples.values[:, 6:].any(axis=1)) == 1

@@ -194,6 +194,29 @@ def test_an_inertial_sensor_that_fails_gives_way_to_the_other_whose_bias_is_take
     assert rest == f"instance 0 is {why}"
 
 
+def test_a_unit_that_stands_by_and_fails_is_named_and_not_gone_to(log, read):
+    stuck = lambda s: 0.016 - 1e-3 * (round(s * 100) % 7) if s >= 10 else 0.01  # noqa: E731
+    log.imu = lambda number, s: (stuck(s) + BIAS if number else 0.01, 1, 1)
+    samples = of_kind(read(log), Kind.IMU)
+    assert len(samples) == SECONDS * 100
+    assert samples.values[:, 0].max() < 0.02
+    (fault,) = [note for note in read(log).notes if "stands by" in note]
+    assert fault.startswith("IMU: instance 1, which stands by, is stuck on an axis at 10.")
+
+
+def test_a_unit_that_steps_is_left_and_what_it_did_goes_with_the_next_sample(log, read):
+    log.imu = lambda number, s: (0.01 + BIAS * number + 0.3 * (number == 0 and s >= 10), 1, 1)
+    recording = read(log)
+    samples = of_kind(recording, Kind.IMU)
+    (note,) = noted(recording, "IMU")
+    assert note.endswith("instance 0 is off from the others by a step")
+    late = seconds(samples) > 10.2
+    assert samples.values[late, 0].max() == pytest.approx(0.016, abs=2e-3)
+    (first,) = np.flatnonzero(samples.values[:, 6:].any(axis=1))
+    assert samples.values[first, 8] == pytest.approx(0.3 * 0.1, abs=0.3 * 0.05)  # turned
+    assert len(samples) >= SECONDS * 100 - 2
+
+
 def test_the_inertial_sensor_is_that_of_the_primary_lane(log, read):
     log.lane = lambda s: int(s >= 12)
     recording = read(log)

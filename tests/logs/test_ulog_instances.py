@@ -246,6 +246,22 @@ def test_a_log_of_vehicle_imu_alone_has_the_samples_of_the_selected_sensor(log, 
     assert samples.t_ns[0] == 1_000_000_000  # of the sample, not of its publication
 
 
+def test_of_two_units_at_their_full_rate_one_that_is_stuck_is_left(log, read):
+    def rate(number, s):
+        stuck = number == 0 and s >= 10
+        return 0.016 - 1e-3 * (round(s * 100) % 7) if stuck else 0.01 + BIAS * number
+
+    log.combined = never
+    log.imu = rate
+    recording = read(log)
+    samples = of_kind(recording, Kind.IMU)
+    assert len(samples) >= SECONDS * 100 - 2
+    assert samples.values[:, 0].max() == pytest.approx(0.016, abs=2e-3)
+    (note,) = noted(recording, "IMU")
+    assert note.startswith("IMU: vehicle_imu 1 is used from 10.")
+    assert note.endswith("vehicle_imu 0 is stuck on an axis")
+
+
 def test_thinned_rows_of_vehicle_imu_are_no_inertial_samples(log, read):
     log.combined = lambda number, s: 0.01 if number == 0 and s < 10 else None
     log.imu = lambda number, s: 0.01

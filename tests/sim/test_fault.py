@@ -42,7 +42,13 @@ def test_a_fault_that_cannot_be_meant_is_refused_with_a_remedy(text, words):
 
 def test_a_schedule_holds_every_kind_in_random_order_with_quiet_between():
     faults = schedule(VARIETY, seed=3, duration=1500.0, gap=20.0)
-    setups = {"mounting", "own-estimate", "accel-drift", "imu-step", "imu-noise"}  # wrong from the start, and to its end
+    setups = {
+        "mounting",
+        "own-estimate",
+        "accel-drift",
+        "imu-step",
+        "imu-noise",
+    }  # wrong from the start, and to its end
     assert {fault.kind.name for fault in faults} == set(KINDS) - setups
     assert sum(fault.values.get("how") == "nofix" for fault in faults) >= 1
     assert faults[0].start == 30.0
