@@ -352,17 +352,20 @@ class Lanes:
             self._wanted = -1
             return False
         wanted: Unit = self._unit(self._wanted)
-        if not self._may_use(wanted, t_ns):
+        if not self._may_use(wanted, CHOSEN, t_ns):
             return False
         self._wanted = -1
         self._change(wanted, CHOSEN, t_ns)
         return True
 
-    def _may_use(self, one: Unit, t_ns: int) -> bool:
-        """Return whether a unit is one to go to."""
+    def _may_use(self, one: Unit, why: str, t_ns: int) -> bool:
+        """Return whether a unit is one to go to from one that is left for a reason.
+
+        Better than one that measures nothing is one that was off by a step.
+        """
         if not one.is_steady() or one.is_silent(t_ns) or one.chance < SUSPECT:
             return False
-        return not one.has_failed(t_ns)
+        return not one.has_failed(t_ns) or (one.why == STEP and why not in (STEP, CHOSEN))
 
     def _leave(self, why: str, t_ns: int) -> bool:
         """Leave the unit in use for another, if one measures; return whether."""
@@ -370,7 +373,7 @@ class Lanes:
         best: Unit | None = None
         for unit in self.units:
             one: Unit = unit
-            if one is used or not self._may_use(one, t_ns) or one.dt * _SHARE > used.dt > 0.0:
+            if one is used or not self._may_use(one, why, t_ns) or one.dt * _SHARE > used.dt > 0.0:
                 continue
             if why not in (STUCK, ZERO) and not self.knows(one.number):
                 continue
