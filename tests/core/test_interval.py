@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.enums import E_ATT, E_BG, E_POS, E_VEL, Mode, NeedsReset
+from ekf_companion.core.memory.enums import E_ATT, E_BA, E_BG, E_POS, E_VEL, Mode, NeedsReset
 from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import ImuRow, Motion, Scratch
 from ekf_companion.core.memory.state import State
+from ekf_companion.nav.inertial_pair import UNKNOWN
 from tests.core.interpreted import load
 from tests.core.states import a_state, array, copy, minus, some_parameters
 
@@ -215,3 +216,22 @@ def test_while_levelling_nothing_but_the_reference_moves():
     # as the body turns to the right, what stands still turns to the left
     turned = DT * (x.gyro_bias[2] - BEFORE[2])
     assert x.alignment.reference.direction_b[1] == pytest.approx(turned, rel=1e-2)
+
+
+def test_another_unit_makes_biases_attitude_and_velocity_as_uncertain_as_it_says():
+    x, k = begun(), parameters()
+    k.gyro_bias_std, k.accel_bias_std = 0.02, 0.2
+    before = array(x.P).copy()
+    imu = a_sample(AFTER)
+    imu.gyro_std, imu.accel_std, imu.turned, imu.gained = 0.003, 0.7, 0.01, 0.2
+    load().interval.inflate_after_change(x, k, imu)
+    added = np.diagonal(array(x.P) - before)
+    for first, sigma in ((E_BG, 0.003), (E_BA, 0.7), (E_ATT, 0.01), (E_VEL, 0.2), (E_POS, 0.0)):
+        np.testing.assert_allclose(added[first : first + 3], sigma**2, atol=1e-12)
+    # Of a unit of which nothing is known the biases are those of a start
+    x = begun()
+    before = array(x.P).copy()
+    imu.gyro_std = imu.accel_std = UNKNOWN
+    load().interval.inflate_after_change(x, k, imu)
+    added = np.diagonal(array(x.P) - before)
+    np.testing.assert_allclose(added[[E_BG, E_BA]], [0.02**2, 0.2**2])

@@ -88,6 +88,14 @@ def test_what_is_encoded_is_decoded_to_the_bit():
     assert len(BYTES) < state + 1024
 
 
+def test_the_inertial_unit_in_use_is_kept_with_what_is_added_to_its_readings():
+    offset = (0.01, -0.02, 0.03, 0.1, -0.2, 0.3)
+    found = decode(encode(replace(GOOD, unit=2, unit_offset=offset)))
+    assert isinstance(found, Checkpoint)
+    assert (found.unit, found.unit_offset) == (2, offset)
+    assert refused(encode(replace(GOOD, unit_offset=(*offset[:5], 1e9)))).why is Why.DAMAGED
+
+
 # What is refused by the bytes alone
 
 

@@ -1,6 +1,8 @@
 """Samples of a sensor that hangs or is at the end of its range, and samples that repeat for other
 reasons."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,16 @@ def test_a_noiseless_vehicle_that_lands_is_believed_after_five_seconds():
     found = judge([*noisy(5000), *[STILL] * 3000])
     assert set(found[5010:6200]) == {STUCK}
     assert set(found[6300:]) == {None}
+
+
+def test_how_likely_it_is_that_each_axis_measures_falls_with_a_run():
+    repetition = Repetition()
+    judge(noisy(2000), repetition)
+    assert repetition.chance() == 0.0
+    last = noisy(2000)[-1]
+    found = []
+    for n in range(4):
+        repetition.judge(PERIOD_US * (2001 + n), (*noisy(4, seed=5)[n][:5], last[5]))
+        found.append(repetition.chance())
+    # of two thousand none was repeated by chance
+    assert found == pytest.approx([-n * math.log(2000.0) for n in range(1, 5)], rel=0.01)
