@@ -16,6 +16,8 @@ BLOCK_NS = 40_000_000
 samples in each."""
 BLOCK = 0.04
 """The same, s."""
+KEPT = 8
+"""Blocks that are kept."""
 MEMORY = 750
 """Blocks over which what is usual is learnt: 30 s, in which a bias hardly drifts."""
 STEADY = 20

@@ -22,12 +22,23 @@ import numpy as np
 
 from ekf_companion.nav.arrays import Array, Column, Const, Mask, Stamps, Table
 from ekf_companion.nav.inertial_pair import LONGEST, SHORTEST, Pair
-from ekf_companion.nav.inertial_unit import BLOCK, NEVER, STEP, SUSPECT, Unit, Waiting
+from ekf_companion.nav.inertial_unit import (
+    BLOCK,
+    BLOCK_NS,
+    KEPT,
+    NEVER,
+    STEP,
+    SUSPECT,
+    Unit,
+    Waiting,
+)
 from ekf_companion.nav.repetition import CHANCE, STUCK, ZERO
 
-_SHARE = 0.25
-"""Of the rate of the unit in use, that another has at least: a slower one loses more than it
-gains."""
+MOST = 4
+"""Units that are watched: autopilots have three, and others four."""
+SHARE = 0.25
+"""Of the rate of the unit in use, that another has at least: a finer or better one at less than a
+quarter of the rate loses more than it gains."""
 _LIKELIER = math.log(100.0)
 """Log-likelihood ratio beyond which one of two is at fault and not the other."""
 _RECENT = 5
@@ -113,6 +124,8 @@ class Lanes:
         After ``CHANGED`` the last of :attr:`changes` says what is used now. ``is_bad``: the
         autopilot says that it is no measurement.
         """
+        if not self.has_room(number):
+            return LEFT
         unit: Unit = self._unit(number)
         if self.used < 0:
             self.used = number
@@ -169,6 +182,14 @@ class Lanes:
         """Return whether the usual difference of a unit from that in use is known."""
         return self.pair(self.used, number).is_known()
 
+    def has_room(self, number: int) -> bool:
+        """Return whether a unit is watched, or may be."""
+        for unit in self.units:
+            one: Unit = unit
+            if one.number == number:
+                return True
+        return len(self.units) < MOST
+
     def resume(self, number: int, offset: Numbers6) -> None:
         """Go on with a unit, and what is to be added to its readings, of a run before."""
         self.used, self.offset = number, offset
@@ -179,7 +200,7 @@ class Lanes:
         used: Unit = self._unit(self.used)
         for unit in self.units:
             one: Unit = unit
-            is_slow = one.dt * _SHARE > used.dt > 0.0
+            is_slow = one.dt * SHARE > used.dt > 0.0
             if one is not used and one.is_steady() and not one.is_silent(t_ns) and not is_slow:
                 return True
         return False
@@ -230,7 +251,7 @@ class Lanes:
         count = 0
         for unit in self.units:
             one: Unit = unit
-            if one.done != NEVER and not one.is_silent(t_ns):
+            if self._is_live(one, t_ns):
                 count += 1
                 newest = min(newest, one.done)
         if count < 2 or newest <= self._judged:
@@ -239,7 +260,7 @@ class Lanes:
         live = []
         for unit in self.units:
             one = unit
-            if one.done >= newest and not one.is_silent(t_ns):
+            if self._is_live(one, t_ns):
                 live.append(one)
         self._compare(live, newest)
         used: Unit = self._unit(self.used)
@@ -253,6 +274,10 @@ class Lanes:
                 self._note(one, STEP, t_ns)
                 is_wrong = is_wrong or one is used
         return is_wrong and self._leave(STEP, t_ns)
+
+    def _is_live(self, one: Unit, t_ns: int) -> bool:
+        """Return whether a unit has blocks to be compared."""
+        return t_ns // BLOCK_NS - one.done < KEPT and not one.is_silent(t_ns)
 
     def _compare(self, live: list[Unit], block: int) -> None:
         """Compare each two units, but for those that may be stuck."""
@@ -373,7 +398,7 @@ class Lanes:
         best: Unit | None = None
         for unit in self.units:
             one: Unit = unit
-            if one is used or not self._may_use(one, why, t_ns) or one.dt * _SHARE > used.dt > 0.0:
+            if one is used or not self._may_use(one, why, t_ns) or one.dt * SHARE > used.dt > 0.0:
                 continue
             if why not in (STUCK, ZERO) and not self.knows(one.number):
                 continue

@@ -297,3 +297,21 @@ def test_a_frozen_unit_is_left_though_nothing_of_the_other_is_known_yet():
             lanes.add(1, round(units.t[1][n] * 1e9), *units.values[1][n])
     assert CHANGED in became
     assert lanes.changes[0].std[:2] == (UNKNOWN, UNKNOWN)
+
+
+def test_a_unit_with_gaps_does_not_keep_the_others_from_being_compared():
+    units = Units(1, count=3)
+    gaps = (np.arange(len(units.t[2])) % 100) < 30  # 0.28 s without a sample, 40 % of the time
+    units.t[2], units.values[2] = units.t[2][gaps], units.values[2][gaps]
+    step_accel(units, 0)
+    lanes, _ = units.run()
+    after, why = units.left(lanes)
+    assert 0.0 <= after <= LEAVES
+    assert why == STEP
+
+
+def test_no_more_than_four_units_are_watched():
+    units = Units(1, count=6, duration=3.0)
+    units.begin = NEVER
+    lanes, _ = units.run()
+    assert [one.number for one in lanes.units] == [0, 1, 2, 3]

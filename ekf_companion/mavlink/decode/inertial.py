@@ -16,7 +16,7 @@ from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.inertial_unit import Unit
-from ekf_companion.nav.lanes import CHANGED, USED, Lanes
+from ekf_companion.nav.lanes import CHANGED, SHARE, USED, Lanes
 from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
@@ -37,8 +37,6 @@ _LOOK_US = 2_000_000
 """Time for which a second unit is looked at, us, before it is known whether it is one to go to."""
 _PAUSE_US = 60_000_000
 """Time until it is looked at again, us, if it is not."""
-_STARVING = 0.25
-"""A finer sensor at less than a quarter of the rate of a coarser one loses more than it gains."""
 
 
 class Inertial(InertialState):
@@ -52,10 +50,10 @@ class Inertial(InertialState):
 
     def forget(self) -> None:
         """Forget everything after a reboot."""
-        self.sources = Preference(_STARVING)
+        self.sources = Preference(SHARE)
         self.instance = self._context.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
-        self.instances = Preference(_STARVING)
+        self.instances = Preference(SHARE)
         self.lanes = Lanes(self.instance)
         """All units that are heard, by their numbers: HIGHRES_IMU.id, SCALED_IMU2 the second."""
         self.is_watching = False
@@ -185,6 +183,8 @@ class Inertial(InertialState):
         It is where another is used; where this is the first of another one, ``out`` has it.
         """
         is_used = unit == self.unit
+        if not self.lanes.has_room(unit):
+            return False
         if not self.is_watching:
             if is_used or t_us < self._look_us:
                 return False
