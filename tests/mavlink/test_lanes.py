@@ -110,6 +110,15 @@ def test_the_first_unit_is_read_as_if_it_were_alone(vehicle):
     assert len(settled) > 400
 
 
+def test_a_unit_that_stands_by_and_fails_is_named_once(vehicle):
+    vehicle.fly(2.0, BEGIN)
+    vehicle.fault = lambda number, t, values: freeze(number - 1, t, values)
+    vehicle.fly(BEGIN, BEGIN + 2.0)
+    found = [note for note in vehicle.peer.decoder.notes if "stands by" in note]
+    assert found == ["Inertial sensor 1, which stands by, is stuck"]
+    assert vehicle.peer.decoder.inertial.unit == 0
+
+
 def test_a_unit_that_was_left_is_not_used_again_for_speaking_steadily(vehicle):
     vehicle.fly(2.0, BEGIN)
     vehicle.fault = lambda number, t, values: None if number == 0 and t < BEGIN + 2.0 else values

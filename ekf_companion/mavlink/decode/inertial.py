@@ -16,7 +16,7 @@ from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.inertial_unit import Unit
-from ekf_companion.nav.lanes import CHANGED, SHARE, USED, Lanes
+from ekf_companion.nav.lanes import CHANGED, LEFT, SHARE, USED, Lanes
 from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
@@ -198,6 +198,9 @@ class Inertial(InertialState):
             return False
         self._carriers[unit] = rank
         became = lanes.add(unit, t_ns, *sample)
+        one = lanes.unit(unit)
+        if became == LEFT and one.faults and all(change.left != unit for change in lanes.changes):
+            self._context.note_once(f"Inertial sensor {unit}, which stands by, is {one.why}")
         if became == USED:
             if t_us >= self._look_us:
                 self.is_watching = lanes.is_shifted or lanes.has_spare(t_ns)
