@@ -34,6 +34,7 @@ from ekf_companion.mavlink.timebase import LAST_US, SURE_US, UNIX_FROM_US, TimeB
 from ekf_companion.nav.arrays import Column, Table
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.earth import pressure_altitude
+from ekf_companion.nav.lanes import CHANGED
 from ekf_companion.nav.measurements import WIDTH, HeadingSource, Kind, Row
 from ekf_companion.nav.stamps import NEAR_US
 
@@ -233,12 +234,13 @@ class PayloadReader:
         rank = 0 if m.id == self.imu_id else m.id + 1
         if rank != self.imu.instances.rank or self.imu.sources.rank != 0:
             return False
-        if self.imu.is_watching:
-            return False
         if self.trim.first_ns is None or m.fields_updated & ACCEL_GYRO != ACCEL_GYRO:
             return False
         t_us = cython.cast(cython.longlong, m.time_usec)
         if not 0 < t_us <= LAST_US or t_us <= self.imu.last_us:
+            return False
+        is_watched: bool = self.imu.is_watching
+        if is_watched and (t_us >= self.imu.look_us or not self.imu.lanes.is_plain()):
             return False
         gx, gy, gz = float(m.xgyro), float(m.ygyro), float(m.zgyro)
         ax, ay, az = float(m.xacc), float(m.yacc), float(m.zacc)
@@ -257,6 +259,12 @@ class PayloadReader:
             return False
         self._free()
         t_ns: int = t_us * 1000
+        if is_watched and self.imu.lanes.add(m.id, t_ns, gx, gy, gz, ax, ay, az) == CHANGED:
+            measurements: Measurements = []
+            self.decoder.inertial.change(measurements)
+            self.session.emit_notes()
+            self._put_rows(measurements)
+            return True
         if rank != self.imu.instances.sole:
             self.imu.instances.admit(rank, t_ns)
         why = self.imu.repetition.judge_axes(t_us, gx, gy, gz, ax, ay, az)

@@ -178,6 +178,10 @@ class Lanes:
         self.std = _SURE
         return std
 
+    def is_plain(self) -> bool:
+        """Return whether a sample of the unit in use is used as it is, with nothing beside it."""
+        return not self.is_shifted and self.std is _SURE
+
     def knows(self, number: int) -> bool:
         """Return whether the usual difference of a unit from that in use is known."""
         return self.pair(self.used, number).is_known()
@@ -188,7 +192,7 @@ class Lanes:
             one: Unit = unit
             if one.number == number:
                 return True
-        return len(self.units) < MOST
+        return len(self.units) < MOST or number == self.used
 
     def resume(self, number: int, offset: Numbers6) -> None:
         """Go on with a unit, and what is to be added to its readings, of a run before."""

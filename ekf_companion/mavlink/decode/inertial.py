@@ -58,7 +58,7 @@ class Inertial(InertialState):
         """All units that are heard, by their numbers: HIGHRES_IMU.id, SCALED_IMU2 the second."""
         self.is_watching = False
         """Whether several are compared."""
-        self._look_us = 0
+        self.look_us = 0
         """Until when a second unit is looked at, or from when on again."""
         self._carriers: dict[int, int] = {}
         """Rank of the message that each unit is watched by."""
@@ -186,9 +186,9 @@ class Inertial(InertialState):
         if not self.lanes.has_room(unit):
             return False
         if not self.is_watching:
-            if is_used or t_us < self._look_us:
+            if is_used or t_us < self.look_us:
                 return False
-            self.is_watching, self._look_us = True, t_us + _LOOK_US
+            self.is_watching, self.look_us = True, t_us + _LOOK_US
         lanes, t_ns = self.lanes, t_us * 1000
         carrier = self._carriers.get(unit, rank)
         if is_used:
@@ -199,15 +199,16 @@ class Inertial(InertialState):
         self._carriers[unit] = rank
         became = lanes.add(unit, t_ns, *sample)
         one = lanes.unit(unit)
-        if became == LEFT and one.faults and all(change.left != unit for change in lanes.changes):
+        told = [(change.left, change.why) for change in lanes.changes]
+        if became == LEFT and one.faults and (unit, one.why) not in told:
             self._context.note_once(f"Inertial sensor {unit}, which stands by, is {one.why}")
         if became == USED:
-            if t_us >= self._look_us:
+            if t_us >= self.look_us:
                 self.is_watching = lanes.is_shifted or lanes.has_spare(t_ns)
-                self._look_us = t_us + (_LOOK_US if self.is_watching else _PAUSE_US)
+                self.look_us = t_us + (_LOOK_US if self.is_watching else _PAUSE_US)
             return False
         if became == CHANGED:
-            self._change(out)
+            self.change(out)
             return True
         # A unit that was left is not gone back to for being preferred
         may_be_preferred = not lanes.knows(unit) and not lanes.is_shifted
@@ -216,7 +217,7 @@ class Inertial(InertialState):
         self._context.refused[f"{SOURCES[rank]}: {ANOTHER_UNIT}"] += 1
         return True
 
-    def _change(self, out: Measurements) -> None:
+    def change(self, out: Measurements) -> None:
         """Use the unit that was found to be better, from its first sample that was not used on."""
         change = self.lanes.changes[-1]
         rank = self._carriers[change.used]

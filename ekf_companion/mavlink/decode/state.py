@@ -10,6 +10,7 @@ from typing import Any
 from ekf_companion.mavlink.decode.preference import Pace, Preference
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.timebase import TimeBase
+from ekf_companion.nav.lanes import Lanes
 from ekf_companion.nav.repetition import Repetition
 
 
@@ -27,6 +28,8 @@ class InertialState(Ranked):
     dejitter: Dejitter | None
     last_us: int
     is_watching: bool
+    look_us: int
+    lanes: Lanes
 
 
 class FieldState(Ranked):
