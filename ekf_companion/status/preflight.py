@@ -356,6 +356,9 @@ def _remarks(snapshot: Snapshot) -> Iterator[str]:
         yield f"{_HEADING_UNSURE.format(std)}: no position shows the declination"
     if health is not None and 0.0 < health.imu_rate < DECIMATED:
         yield f"inertial samples come at {health.imu_rate:.0f} Hz: fast motion is missed"
+    for number, words in snapshot.imu.units.items():
+        if snapshot.imu.faults.get(number) and words != "used":
+            yield f"inertial unit {number}: {words}"
     if health is not None and not output.is_allowed:
         yield f"ODOMETRY is withheld: {output.reason}"
     if snapshot.process.recording_trouble:

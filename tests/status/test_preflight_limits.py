@@ -249,10 +249,13 @@ def test_what_speaks_against_no_take_off_is_a_note(good):
     slow = replace(good.estimator, imu_rate=50.0)
     output = replace(good.output, is_allowed=False, reason="GNSS would count twice")
     process = replace(good.process, recording_trouble="/a.tlog: the disk is full")
-    found = check(replace(good, estimator=slow, output=output, process=process))
+    units = {"0": "used", "1": "spare", "2": "stuck at 12.0 s"}
+    imu = replace(good.imu, units=units, faults={"2": 1})
+    found = check(replace(good, estimator=slow, imu=imu, output=output, process=process))
     assert found.ready
     assert found.notes == (
         "inertial samples come at 50 Hz: fast motion is missed",
+        "inertial unit 2: stuck at 12.0 s",
         "ODOMETRY is withheld: GNSS would count twice",
         "not all is recorded: /a.tlog: the disk is full",
     )
