@@ -349,7 +349,8 @@ class Lanes:
         """Let the biases be found anew, where nobody knows whether the unit in use is wrong."""
         for unit in live:
             other: Unit = unit
-            if other is used:
+            # One that has failed before is likelier to fail again
+            if other is used or other.failed_ns > used.failed_ns:
                 continue
             low = used if used.number < other.number else other
             high = other if low is used else used
