@@ -1,4 +1,4 @@
-"""Estimate the way of a lidar from its scans and inertial samples."""
+"""Estimate the way of a lidar or a radar from its scans and inertial samples."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ FILTERS: dict[str, dict[str, Any]] = {
     "anchors": {},
     "fast-lio": {"anchors": 0},
     "lins": {"is_scan_to_scan": True},
+    "doppler": {},
 }
 """Settings of each filter."""
 LEAST_ANGLE, LEAST_SHIFT = 3.0, 0.05
@@ -54,21 +55,29 @@ def lidar(
     lidar_pose: Annotated[
         str | None,
         typer.Option(
-            help="X,Y,Z,ROLL,PITCH,YAW of the lidar on the inertial sensor, m and deg; forward, "
-            "left, up. Default: as the recording says."
+            help="X,Y,Z,ROLL,PITCH,YAW of lidar or radar on the inertial sensor, m and deg; "
+            "forward, left, up. Default: as the recording says."
         ),
     ] = None,
     find: Annotated[
         list[str] | None,
         typer.Option(help="mounting or delay: estimate it too; may be given several times."),
     ] = None,
+    velocity: Annotated[
+        Path | None, typer.Option(help="Velocities by the scans of a radar alone, as .csv.")
+    ] = None,
     form: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--filter",
-            help="anchors; lins: scan to last scan; fast-lio: the map is taken as known.",
+            help="anchors; lins: scan to last scan; fast-lio: the map is taken as known; doppler: "
+            "by radial speeds, where points have them.",
         ),
-    ] = "anchors",
+    ] = None,
+    most_speed: Annotated[
+        float,
+        typer.Option(min=0.0, help="Radial speed at which those of a radar wrap, m/s; 0: never."),
+    ] = 0.0,
     nearest: Annotated[float, typer.Option(min=0.0, help="Leave out nearer points, m.")] = 0.5,
     farthest: Annotated[float, typer.Option(min=1.0, help="Leave out farther points, m.")] = 80.0,
     stamp: Annotated[
@@ -78,7 +87,7 @@ def lidar(
     imu_topic: Annotated[str | None, typer.Option(help="Of the inertial samples in a bag.")] = None,
     as_json: terminal.JsonOption = False,
 ) -> None:
-    """Estimate a lidar's way with an honest covariance, from its scans and inertial samples."""
+    """Estimate the way of a lidar or a radar, with covariance, from scans and inertial samples."""
     from ekf_companion.lidar.readers import read
     from ekf_companion.lidar.solution import solve
 
@@ -89,20 +98,29 @@ def lidar(
             Output("--cov", cov, "cov"),
             Output("--map", cloud, "ply"),
             Output("--report", report, ".html"),
+            Output("--velocity", velocity, "velocity"),
         )
         outputs += [one for one in named if one.path is not None]
         _check_outputs(recording, outputs)
-        settings = _settings(find or [], form, nearest, farthest)
+        settings = _settings(find or [], form, nearest, farthest, most_speed)
         if stamp not in (None, "start", "middle", "end"):
             raise ConfigError(f"--stamp: {stamp}: is start, middle or end")
         pose = None if lidar_pose is None else _mounting(lidar_pose)
 
         with progress_line(recording.name):
-            found = read(recording, mounting=pose, stamp=stamp, lidar=lidar_topic, imu=imu_topic)
+            found = read(
+                recording,
+                mounting=pose,
+                stamp=stamp,
+                lidar=lidar_topic,
+                imu=imu_topic,
+                by_doppler=None if form is None else form == "doppler",
+            )
+            _check_kind(found, outputs, stamp)
             solution = solve(_unsure(found) if settings.is_mounting_estimated else found, settings)
         if not len(solution.track):
             raise LogError(f"{recording}: holds no scan to estimate from")
-        _write(solution, outputs)
+        _write(solution, found, settings, outputs)
     verdict, remarks = solution.verdict(), solution.remarks()
     data = {
         "recording": str(recording),
@@ -144,14 +162,27 @@ def _check_outputs(recording: Path, outputs: list[Output]) -> None:
             require("report", "--report", "bokeh")
 
 
-def _settings(find: list[str], form: str, nearest: float, farthest: float) -> Settings:
+def _check_kind(recording: Recording, outputs: list[Output], stamp: str | None) -> None:
+    """Refuse what a lidar or a radar has not."""
+    asked = {one.option for one in outputs}
+    if recording.by_doppler and "--map" in asked:
+        raise ConfigError("--map: a radar's way is found by its speeds, without a map")
+    if recording.by_doppler and stamp is not None:
+        raise ConfigError("--stamp: is of a lidar; how late a radar is `--find delay` finds")
+    if not recording.by_doppler and "--velocity" in asked:
+        raise ConfigError("--velocity: is of a radar, whose points have radial speeds")
+
+
+def _settings(
+    find: list[str], form: str | None, nearest: float, farthest: float, most_speed: float
+) -> Settings:
     """Return the settings that the options say."""
     from ekf_companion.lidar.settings import Settings
 
     if wrong := set(find) - {"mounting", "delay"}:
         raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
-    if form not in FILTERS:
-        raise ConfigError(f"--filter: {form}: is anchors, lins or fast-lio")
+    if form is not None and form not in FILTERS:
+        raise ConfigError(f"--filter: {form}: is {', '.join(FILTERS)}")
     if nearest >= farthest:
         raise ConfigError("--nearest: is beyond --farthest")
     return Settings(
@@ -159,7 +190,8 @@ def _settings(find: list[str], form: str, nearest: float, farthest: float) -> Se
         most_range=farthest,
         is_mounting_estimated="mounting" in find,
         delay_sigma=LATE if "delay" in find else 0.0,
-        **FILTERS[form],
+        most_doppler=most_speed,
+        **FILTERS[form or "anchors"],
     )
 
 
@@ -177,9 +209,12 @@ def _unsure(recording: Recording) -> Recording:
     return replace(recording, mounting=mounting)
 
 
-def _write(solution: Solution, outputs: list[Output]) -> None:
+def _write(
+    solution: Solution, recording: Recording, settings: Settings, outputs: list[Output]
+) -> None:
     """Write what is asked for."""
     from ekf_companion.analysis import lidar_mcap, lidar_report
+    from ekf_companion.lidar import doppler
     from ekf_companion.lidar.solution import lines_of
     from ekf_companion.logs.writer import create
 
@@ -192,7 +227,10 @@ def _write(solution: Solution, outputs: list[Output]) -> None:
             if kind == ".mcap":
                 lidar_mcap.write(solution, file)
                 continue
-            for line in lines_of(solution, kind):
+            lines = lines_of(solution, kind)
+            if kind == "velocity":
+                lines = doppler.lines_of(doppler.velocities(recording.scans, settings))
+            for line in lines:
                 file.write(f"{line}\n".encode())
 
 

@@ -319,28 +319,42 @@ class Odometry:
         """Return the pose relative to the marked one where that is old enough, and mark this."""
         if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
             return None
-        relative = None if self._marked is None else self._relative(*self._marked, stamp)
+        relative = None
+        if self._marked is not None:
+            relative = relative_pose(*self._marked, stamp, self.x, self.P, self._alignment)
         at = slice(N, N + POSE)
         self.P[at] = self.P[:POSE]
         self.P[:, at] = self.P[:, :POSE]
         self._marked = (stamp, self.x)
         return relative
 
-    def _relative(self, stamp0: float, then: State, stamp: float) -> RelativePose:
-        """Return the present pose relative to the marked one."""
-        C = then.C_wb.T @ self.x.C_wb
-        pos = then.C_wb.T @ (self.x.pos_w - then.pos_w)
-        J = np.zeros((POSE, 2 * POSE))
-        J[:3, POS] = then.C_wb.T
-        J[:3, 9:12] = -then.C_wb.T
-        J[:3, 6:9] = skew(pos)
-        J[3:, ATT] = np.eye(3)
-        J[3:, 6:9] = -C.T
-        at = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
-        P = J @ self.P[np.ix_(at, at)] @ J.T
-        turned = np.vstack([skew(pos), np.eye(3) - C.T])
-        P += self._alignment**2 * _square(turned)
-        return RelativePose(start=stamp0, end=stamp, C=C, pos=pos, P=0.5 * (P + P.T))
+
+def relative_pose(
+    start: float, then: State, end: float, x: State, P: Array, alignment: float
+) -> RelativePose:
+    """Return the present pose relative to a marked one.
+
+    Args:
+        start: Of the marked pose, s.
+        then: The state there.
+        end: Of the present pose, s.
+        x: The present state.
+        P: Of its error state, and from N on of the marked pose.
+        alignment: Sigma of the body's axes relative to the gyro's, rad.
+    """
+    C = then.C_wb.T @ x.C_wb
+    pos = then.C_wb.T @ (x.pos_w - then.pos_w)
+    J = np.zeros((POSE, 2 * POSE))
+    J[:3, POS] = then.C_wb.T
+    J[:3, 9:12] = -then.C_wb.T
+    J[:3, 6:9] = skew(pos)
+    J[3:, ATT] = np.eye(3)
+    J[3:, 6:9] = -C.T
+    at = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
+    P = J @ P[np.ix_(at, at)] @ J.T
+    turned = np.vstack([skew(pos), np.eye(3) - C.T])
+    P += alignment**2 * _square(turned)
+    return RelativePose(start=start, end=end, C=C, pos=pos, P=0.5 * (P + P.T))
 
 
 def by_axes(x: State) -> Array:

@@ -1,4 +1,4 @@
-"""A recording of a lidar and its inertial sensor: what each reader returns and the filter takes."""
+"""A recording of a lidar or a radar and its inertial sensor: what readers return, filters take."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ class Scan:
     """s after the stamp, shape (n,)."""
     ring: Array | None = None
     """The laser of each point, shape (n,), where the recording has it."""
+    doppler: Array | None = None
+    """Radial speed of each point, m/s, positive away from the sensor, shape (n,); None: a lidar."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,3 +63,5 @@ class Recording:
     mounting: Mounting
     decisions: tuple[str, ...] = ()
     """What the reader decided about stamps, units and axes, one sentence each."""
+    by_doppler: bool = False
+    """Whether the way is found by the radial speeds of its points: a radar."""

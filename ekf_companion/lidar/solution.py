@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ekf_companion.lidar import radar
 from ekf_companion.lidar.calibration import calibrate
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.recording import Recording
@@ -25,6 +26,8 @@ NAMED = 1.0
 """Shortest time without hold that is named, s."""
 POOR = 0.01
 """Share of the way that its own sigma may be in a good result: what odometry is bought for."""
+POOR_BY_DOPPLER = 0.02
+"""The same of a radar, whose heading and height nothing holds."""
 LEAST_SIGMA = 0.1
 """Own sigma below which a result is good however short the way, m."""
 
@@ -50,6 +53,8 @@ class Solution:
     """World of the filter to the levelled one, shape (3, 3)."""
     points: Array = field(repr=False)
     """Of the map, levelled, m, shape (n, 3)."""
+    share: float = POOR
+    """Of the way that the sigma may be in a good result."""
 
     @property
     def poses(self) -> Array:
@@ -120,7 +125,7 @@ class Solution:
         count, matched = len(self.track), int(self.track.is_matched.sum())
         if matched < 0.5 * count:
             return f"poor: {count - matched} of {count} scans match nothing"
-        grade = "good" if sigma <= max(POOR * way, LEAST_SIGMA) else "poor"
+        grade = "good" if sigma <= max(self.share * way, LEAST_SIGMA) else "poor"
         text = f"{grade}: {way:.0f} m, own sigma {sigma:.{1 if sigma >= 1.0 else 2}f} m"
         if stretches:
             spans = [one.end - one.start for one in stretches]
@@ -152,7 +157,7 @@ class Solution:
                 x, y, z = last.state.pos_b.tolist()
                 q = ", ".join(f"{one:.4f}" for one in _xyzw(last.state.C_bl))
                 lines.append(
-                    f"lidar at ({x:.3f}, {y:.3f}, {z:.3f}) m, quaternion x, y, z, w ({q}), "
+                    f"mounted at ({x:.3f}, {y:.3f}, {z:.3f}) m, quaternion x, y, z, w ({q}), "
                     f"sigma {angle:.2f} deg"
                 )
         return lines
@@ -172,7 +177,17 @@ def start(recording: Recording, settings: Settings) -> Odometry:
 
 
 def solve(recording: Recording, settings: Settings) -> Solution:
-    """Return the trajectory of a recording."""
+    """Return the trajectory of a recording: by its radial speeds, or by its surroundings."""
+    if recording.by_doppler:
+        track, x, found = radar.solve(recording, settings)
+        return Solution(
+            name=recording.name,
+            decisions=(*recording.decisions, *found),
+            track=track,
+            C_level=levelled(x.down_w),
+            points=np.zeros((0, 3)),
+            share=POOR_BY_DOPPLER,
+        )
     odometry = start(recording, settings)
     track = Track()
     for scan in recording.scans:

@@ -82,7 +82,7 @@ def find(
     steps = np.diff(path.stamp)
     mean = steps @ path.accel_w / max(float(steps.sum()), 1e-9)
     motion = prior = np.concatenate([np.zeros(3), -mean, np.zeros(3)])
-    P = np.diag(_variances(settings))
+    P = np.diag(variances(settings))
     points = _carried(scans, path, x, settings)
     number = 0
     for share, edge, rough, times in STAGES:
@@ -98,19 +98,34 @@ def find(
         gyro_bias=motion[6:],
         down_w=motion[3:6] / size if is_found else np.array([0.0, 0.0, -1.0]),
     )
-    P = AGAIN * P
-    if (spread := _rest(scans, samples)) is not None and _is_still(motion[:3], P[:3, :3]):
-        # Nothing moves that inertial samples or lidar can see
+    begin, end = scans[0].stamp, scans[-1].stamp
+    return settled(x, AGAIN * P, rest(begin, end, samples), mean, settings)
+
+
+def settled(
+    x: State, P: Array, spread: tuple[Array, float] | None, mean: Array, settings: Settings
+) -> tuple[State, Array]:
+    """Return a first state and its covariance, at rest where nothing is seen to move.
+
+    Args:
+        x: As it was found.
+        P: Of its velocity, gravity and gyro bias, shape (9, 9).
+        spread: What :func:`rest` has found.
+        mean: Specific force over the start, in w, m/s^2.
+        settings: Bias of the accelerometer, and gravity.
+    """
+    if spread is not None and is_still(x.vel_w, P[:3, :3]):
+        # Nothing moves that inertial samples or scans can see
         rate, sigma = spread
         x = replace(x, vel_w=np.zeros(3), gyro_bias=rate, down_w=-mean / np.linalg.norm(mean))
         P = np.diag(np.repeat(np.square([REST_SPEED, STILL_FORCE, sigma]), 3))
-    return x, _covariance(x, P, settings)
+    return x, covariance_of(x, P, settings)
 
 
-def _rest(scans: Sequence[Scan], samples: Samples) -> tuple[Array, float] | None:
-    """Return the mean rate and its sigma, rad/s, if the inertial samples do not change."""
+def rest(begin: float, end: float, samples: Samples) -> tuple[Array, float] | None:
+    """Return the mean rate and its sigma, rad/s, if the samples do not change between two times."""
     t = samples.stamp
-    inside = (t > scans[0].stamp) & (t < scans[-1].stamp)
+    inside = (t > begin) & (t < end)
     if np.count_nonzero(inside) < 2 * BLOCKS:
         return None
     rates = [part.mean(axis=0) for part in np.array_split(samples.gyro[inside], BLOCKS)]
@@ -121,12 +136,12 @@ def _rest(scans: Sequence[Scan], samples: Samples) -> tuple[Array, float] | None
     return np.mean(rates, axis=0), max(float(rate), REST_RATE)
 
 
-def _is_still(vel: Array, P: Array) -> bool:
+def is_still(vel: Array, P: Array) -> bool:
     """Return whether a velocity is none within three sigma."""
     return float(vel @ np.linalg.solve(P, vel)) < 3.0 * 9.0
 
 
-def _variances(settings: Settings) -> Array:
+def variances(settings: Settings) -> Array:
     """Return the variances of velocity, gravity and gyro bias before the first scan."""
     return np.repeat(np.square([SPEED, ACCELERATION, settings.gyro_bias]), 3)
 
@@ -199,7 +214,7 @@ def _refined(
     settings: Settings,
 ) -> tuple[Array, Array]:
     """Return velocity, gravity and gyro bias after one more iteration, and their covariance."""
-    prior = _variances(settings)
+    prior = variances(settings)
     q = points.placed(motion)
     order, first, count = grouped(np.floor(q / edge + shift).astype(np.int64))
     is_plane = count >= LEAST_POINTS
@@ -260,7 +275,7 @@ def _held(A: Array, b: Array, noise: Array, prior: Array) -> tuple[Array, Array]
     return np.asarray(part @ L.T), np.asarray(part @ white @ b)
 
 
-def _covariance(x: State, found: Array, settings: Settings) -> Array:
+def covariance_of(x: State, found: Array, settings: Settings) -> Array:
     """Return the covariance of a state of which velocity, gravity and gyro bias were found."""
     P = np.zeros((N, N))
     P[VEL, VEL] = found[:3, :3]

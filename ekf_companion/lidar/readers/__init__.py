@@ -1,4 +1,4 @@
-"""Recordings of a lidar and an inertial sensor, one file per form: bytes in, a `Recording` out.
+"""Recordings of lidar or radar and inertial sensor, one file per form: bytes to a `Recording`.
 
 source      what every form offers: scans and samples as they are stored, nothing decided
 sequence    lidar.npz, imu.npz and calib.json in one folder
@@ -7,6 +7,7 @@ folder      .pcd or .npz files with imu.csv
 pcap        packets of Ouster and Velodyne
 survey      one pass over the scans: numbers of each
 timing, inertial, motion   decisions: stamps and times; samples; whether lidar and gyro agree
+doppler     whether the velocities by a radar's radial speeds and the samples agree
 judge       all of them: a Recording, or an error that names what is wrong
 """
 
@@ -31,6 +32,7 @@ def read(
     stamp: str | None = None,
     lidar: str | None = None,
     imu: str | None = None,
+    by_doppler: bool | None = None,
 ) -> Recording:
     """Return a recording in any form that is known, with what was decided about it.
 
@@ -41,12 +43,14 @@ def read(
         lidar: The topic of the scans in a bag. None: the one with the most messages.
         imu: The topic of the inertial samples. None: likewise. For a .pcap of a Velodyne the table
             of its inertial samples; None: imu.csv beside it.
+        by_doppler: Whether the radial speeds of the points count, as of a radar. None: where the
+            points have them.
 
     Raises:
         LogError: It cannot be read, or nothing can be estimated from it.
         MissingPackageError: The package that reads its form is not installed.
     """
-    return judge(_open(Path(path), lidar, imu), mounting, stamp)
+    return judge(_open(Path(path), lidar, imu), mounting, stamp, by_doppler)
 
 
 def _open(path: Path, lidar: str | None, imu: str | None) -> Source:

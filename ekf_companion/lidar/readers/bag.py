@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ekf_companion.nav import so3
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMU = "sensor_msgs/msg/Imu"
+HEADER = "std_msgs/msg/Header"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _DAMAGE = (
     ValueError,
@@ -52,36 +54,90 @@ def open_bag(path: Path, lidar: str | None, imu: str | None) -> Source:
         lidar = _topic(path, reader, (CLOUD, *custom_message.NAMES), lidar, "scans", notes)
         imu = _topic(path, reader, (IMU,), imu, "inertial samples", notes)
         inertial, imu_frame = _inertial(path, reader, imu, faults)
-        first = next(_clouds(path, reader, lidar, []), None)
+        clouds = list(islice(_clouds(path, reader, lidar, []), 2))
+        first = clouds[0] if clouds else None
+        restamp = None
+        if len(clouds) > 1 and not any(one.stamp for one in clouds):
+            restamp, words = _stamps_of(path, reader, clouds[0].number, inertial)
+            notes += words
         mounting = None
         if first is not None and inertial is not None:
-            mounting, words = _mounting(reader, imu_frame, first[2])
+            mounting, words = _mounting(reader, imu_frame, first.frame)
             notes += words
     return Source(
         name=path.name,
-        scans=lambda: _scans(path, lidar, faults),
+        scans=lambda: _scans(path, lidar, faults, restamp),
         inertial=inertial,
         mounting=mounting,
         notes=tuple(notes),
         faults=faults,
-        time_field="none" if first is None else first[3].time_field,
+        time_field="none" if first is None else first.cloud.time_field,
         inertial_name=imu,
         stamp_unit=None,
     )
 
 
-def _scans(path: Path, topic: str, faults: list[str]) -> Iterator[StoredScan]:
+class _Stored(NamedTuple):
+    """A message of a cloud."""
+
+    arrival: int
+    """ns."""
+    stamp: int
+    """ns."""
+    number: int | None
+    """Of the header, which ROS 1 has."""
+    frame: str
+    cloud: Cloud
+
+
+_Restamp = Callable[[_Stored], int | None]
+"""Returns the stamp of a message whose header has none, ns; None: it is lost."""
+
+
+def _scans(
+    path: Path, topic: str, faults: list[str], restamp: _Restamp | None
+) -> Iterator[StoredScan]:
     with _opened(path) as reader:
-        for arrival, stamp, _, cloud in _clouds(path, reader, topic, faults):
-            yield StoredScan(stamp / 1e9, cloud.points, cloud.times, cloud.ring, arrival / 1e9)
+        for one in _clouds(path, reader, topic, faults):
+            ns = one.stamp if restamp is None else restamp(one)
+            stamp = float("nan") if ns is None else ns / 1e9
+            cloud = one.cloud
+            yield StoredScan(
+                stamp, cloud.points, cloud.times, cloud.ring, one.arrival / 1e9, cloud.doppler
+            )
 
 
-def _clouds(
-    path: Path, reader: Any, topic: str, faults: list[str]
-) -> Iterator[tuple[int, int, str, Cloud]]:
-    """Return time of arrival and stamp in ns, frame, and cloud of each scan."""
+def _stamps_of(
+    path: Path, reader: Any, number: int | None, inertial: StoredInertial
+) -> tuple[_Restamp, list[str]]:
+    """Return stamps for scans without: those of a trigger of the same number, or of arrival."""
+    for topic in sorted({one.topic for one in reader.connections if one.msgtype == HEADER}):
+        connections = [one for one in reader.connections if one.topic == topic]
+        triggers = dict[int | None, int]()
+        for connection, _, raw in _messages(path, reader, connections, []):
+            head = reader.deserialize(raw, connection.msgtype)
+            triggers[getattr(head, "seq", None)] = _ns(head.stamp)
+        if number is not None and number in triggers:
+            return lambda one, known=triggers: known.get(one.number), [  # type: ignore[misc]
+                f"scans have no stamps: those of {topic} with the same number are taken"
+            ]
+    shift = 0
+    if inertial.arrival is not None and len(inertial.stamp):
+        shift = round(1e9 * float(np.median(inertial.stamp - inertial.arrival)))
+    return lambda one: one.arrival + shift, [
+        "scans have no stamps: their arrival is taken, on the clock of the inertial samples"
+    ]
+
+
+def _ns(stamp: Any) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _clouds(path: Path, reader: Any, topic: str, faults: list[str]) -> Iterator[_Stored]:
+    """Return the messages of a topic."""
     connections = [one for one in reader.connections if one.topic == topic]
     for connection, arrival, raw in _messages(path, reader, connections, faults):
+        number = None
         try:
             if connection.msgtype in custom_message.NAMES:
                 stamp, frame, cloud = custom_message.decode(raw, reader.is2)
@@ -100,12 +156,12 @@ def _clouds(
                     is_bigendian=bool(message.is_bigendian),
                 )
                 head = message.header
-                stamp, frame = head.stamp.sec * 1_000_000_000 + head.stamp.nanosec, head.frame_id
+                stamp, frame, number = _ns(head.stamp), head.frame_id, getattr(head, "seq", None)
         except _damage() as error:
             raise LogError(
                 f"{path}: {topic}: a message of {arrival / 1e9:.3f} s is no cloud: {error}"
             ) from None
-        yield arrival, stamp, frame, cloud
+        yield _Stored(arrival, stamp, number, frame, cloud)
 
 
 def _inertial(path: Path, reader: Any, topic: str, faults: list[str]) -> tuple[StoredInertial, str]:
@@ -117,9 +173,8 @@ def _inertial(path: Path, reader: Any, topic: str, faults: list[str]) -> tuple[S
             message = reader.deserialize(raw, connection.msgtype)
         except _damage() as error:
             raise LogError(f"{path}: {topic}: a message is no Imu: {error}") from None
-        stamp, w, f = message.header.stamp, message.angular_velocity, message.linear_acceleration
-        frame = message.header.frame_id
-        ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        w, f = message.angular_velocity, message.linear_acceleration
+        frame, ns = message.header.frame_id, _ns(message.header.stamp)
         rows.append((ns / 1e9, w.x, w.y, w.z, f.x, f.y, f.z, arrival / 1e9))
     table = np.array(rows, np.float64).reshape(-1, 8)
     return StoredInertial(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7]), frame

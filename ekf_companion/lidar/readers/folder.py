@@ -91,7 +91,7 @@ def _stamped(path: Path) -> tuple[list[Path], list[float]]:
 def _scans(files: list[Path], stamps: list[float]) -> Iterator[StoredScan]:
     for file, stamp in zip(files, stamps, strict=True):
         cloud = _cloud(file)
-        yield StoredScan(stamp, cloud.points, cloud.times, cloud.ring)
+        yield StoredScan(stamp, cloud.points, cloud.times, cloud.ring, doppler=cloud.doppler)
 
 
 def _cloud(file: Path) -> Cloud:

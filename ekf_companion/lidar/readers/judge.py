@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ekf_companion.errors import LogError
+from ekf_companion.lidar.readers.doppler import compare_doppler
 from ekf_companion.lidar.readers.inertial import decide_inertial
 from ekf_companion.lidar.readers.motion import compare_motion
+from ekf_companion.lidar.readers.point_cloud import DOPPLERS
 from ekf_companion.lidar.readers.scans import Scans
 from ekf_companion.lidar.readers.source import Source
 from ekf_companion.lidar.readers.survey import survey
@@ -14,13 +16,19 @@ from ekf_companion.lidar.readers.timing import decide_timing
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording
 
 
-def judge(source: Source, mounting: Mounting | None, stamp: str | None) -> Recording:
+def judge(
+    source: Source,
+    mounting: Mounting | None,
+    stamp: str | None,
+    by_doppler: bool | None = None,
+) -> Recording:
     """Return the recording of a source, with every decision in a sentence.
 
     Args:
         source: The opened recording.
         mounting: The lidar on the inertial sensor; None: as the recording says.
         stamp: `start`, `middle` or `end` of a scan, of which the stamps are; None: to be decided.
+        by_doppler: Whether radial speeds count; None: where the points have them.
 
     Raises:
         LogError: Nothing can be estimated from it, or its lidar and its inertial samples
@@ -28,10 +36,34 @@ def judge(source: Source, mounting: Mounting | None, stamp: str | None) -> Recor
     """
     inertial, about_inertial = decide_inertial(source)
     found = survey(source)
-    timing, order, about_times = decide_timing(source, found, stamp)
+    by_doppler = found.has_doppler if by_doppler is None else by_doppler
+    if by_doppler and not found.has_doppler:
+        raise LogError(
+            f"{source.name}: not all points have radial speeds (a field {', '.join(DOPPLERS)}): "
+            "this is no radar's recording, or its driver leaves them out"
+        )
+    timing, order, about_times = decide_timing(source, found, stamp, by_doppler=by_doppler)
     stamps = found.stamp[order] * timing.stamp_unit
     about_clocks = _compare_clocks(source, stamps[0], stamps[-1] + timing.period, inertial)
     known = mounting or source.mounting
+    if by_doppler:
+        scans = Scans(source, timing, order)
+        timing, chosen, about_motion = compare_doppler(scans, inertial, known)
+        return Recording(
+            name=source.name,
+            scans=replace(scans, timing=timing),
+            inertial=inertial,
+            mounting=chosen,
+            decisions=(
+                *source.notes,
+                *source.faults,
+                *about_times,
+                *about_inertial,
+                *about_clocks,
+                *about_motion,
+            ),
+            by_doppler=True,
+        )
     about_mounting = (
         []
         if known

@@ -13,6 +13,16 @@ from ekf_companion.nav.arrays import Array
 TIMES = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp", "ts", "point_time")
 """Names of the fields of points' times, as drivers have them."""
 RINGS = ("ring", "line", "channel", "laser_id", "laserid")
+DOPPLERS = (
+    "doppler",
+    "velocity",
+    "v_doppler_mps",
+    "radial_velocity",
+    "doppler_velocity",
+    "radial_speed",
+    "range_rate",
+)
+"""Names of the fields of radial speeds, as drivers of radars have them."""
 _TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 """NumPy's types of PointField, from INT8 = 1 on."""
 
@@ -31,13 +41,15 @@ class Field:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """Points, their times and rings as stored; None: there are no such fields."""
+    """Points, their times, rings and speeds as stored; None: there are no such fields."""
 
     points: Array
     """m, shape (n, 3)."""
     times: Stored | None
     ring: Stored | None
     time_field: str
+    doppler: Stored | None = None
+    """Radial speeds."""
 
 
 def unpack(
@@ -95,11 +107,13 @@ def from_columns(columns: Mapping[str, Stored]) -> Cloud:
     points = np.stack([columns[lower[name]].astype(np.float64) for name in "xyz"], -1)
     time = next((lower[name] for name in TIMES if name in lower), None)
     ring = next((lower[name] for name in RINGS if name in lower), None)
+    doppler = next((lower[name] for name in DOPPLERS if name in lower), None)
     return Cloud(
         points,
         None if time is None else _native(columns[time]),
         None if ring is None else _native(columns[ring]),
         time or "none",
+        None if doppler is None else _native(columns[doppler]),
     )
 
 

@@ -53,6 +53,7 @@ def _scans(path: Path) -> Iterator[StoredScan]:
     arrays = load(path / "lidar.npz", ("stamp", "first", "xyz"))
     unit, tick = float(arrays.get("unit", 1.0)), float(arrays.get("tick", 1.0))
     first, dt, ring = arrays["first"], arrays.get("dt"), arrays.get("ring")
+    doppler = arrays.get("doppler")
     for k, stamp in enumerate(arrays["stamp"]):
         part = slice(first[k], first[k + 1])
         yield StoredScan(
@@ -60,6 +61,7 @@ def _scans(path: Path) -> Iterator[StoredScan]:
             arrays["xyz"][part] * unit,
             None if dt is None else dt[part] * tick,
             None if ring is None else ring[part],
+            doppler=None if doppler is None else doppler[part],
         )
 
 

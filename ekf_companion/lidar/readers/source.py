@@ -30,6 +30,8 @@ class StoredScan:
     """The laser of each point, shape (n,)."""
     arrival: float | None = None
     """s, when it was recorded."""
+    doppler: Stored | None = None
+    """Radial speed of each point, shape (n,); None: a lidar."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,13 +27,17 @@ class Survey:
     """Equal for equal points."""
     has_times: bool
     """Whether any scan has times of its points that differ."""
+    has_doppler: bool
+    """Whether all scans have radial speeds."""
 
 
 def survey(source: Source) -> Survey:
     """Return the numbers of all scans of a source."""
-    stamps, returns, times, reach, digests, is_timed = [], [], [], [], [], False
+    stamps, returns, times, reach, digests = [], [], [], [], []
+    is_timed, has_doppler = False, True
     for scan in source.scans():
         good = is_return(scan)
+        has_doppler &= scan.doppler is not None
         stamps.append(scan.stamp)
         returns.append(int(good.sum()))
         quantiles = np.full(5, np.nan)
@@ -51,6 +55,7 @@ def survey(source: Source) -> Survey:
         np.array(reach, np.float64),
         np.array(digests, np.int64),
         is_timed,
+        has_doppler,
     )
 
 
@@ -64,5 +69,7 @@ def _quantiles(times: Stored) -> Array:
 def is_return(scan: StoredScan) -> Mask:
     """Return which points are returns: finite, and not the 0 0 0 of an organised cloud."""
     x, y, z = scan.points.T
+    if scan.doppler is not None:
+        x = x + 0.0 * scan.doppler
     mask: Mask = np.isfinite(x + y + z) & ((x != 0) | (y != 0) | (z != 0))
     return mask

@@ -42,6 +42,8 @@ class Timing:
     """s, added to the stamps."""
     reverse: bool = False
     """Whether the points' times count backwards."""
+    speed_unit: float = 1.0
+    """m/s, of radial speeds; negative where they are positive towards the sensor."""
 
     def apply(self, stored: StoredScan) -> Scan:
         """Return a scan with its returns alone, and its times from its start on."""
@@ -62,7 +64,10 @@ class Timing:
         if self.length_unit != 1.0:
             points *= self.length_unit
         ring = None if stored.ring is None else stored.ring[keep]
-        return Scan(stamp + self.shift, points, times, ring)
+        speed = None
+        if stored.doppler is not None:
+            speed = stored.doppler[keep].astype(np.float64) * self.speed_unit
+        return Scan(stamp + self.shift, points, times, ring, speed)
 
     def reach(self) -> float:
         """Return how far from its middle a point of a scan can be, s: a scan is one period."""
@@ -85,9 +90,11 @@ class Timing:
 
 
 def decide_timing(
-    source: Source, found: Survey, stamp: str | None
+    source: Source, found: Survey, stamp: str | None, *, by_doppler: bool = False
 ) -> tuple[Timing, Indices, list[str]]:
     """Return how times count, which scans to read in which order, and sentences about it.
+
+    The scan of a radar counts as taken at its stamp: it takes a part of the time between two only.
 
     Raises:
         LogError: There are no scans, or their stamps cannot be meant.
@@ -115,7 +122,7 @@ def decide_timing(
     jitter = 1.4826 * float(np.median(np.abs(np.diff(stamps) - step))) * unit / np.sqrt(2.0)
     if jitter > 0.01 * period:
         sentences.append(
-            f"stamps of scans jitter by {jitter * 1e3:.1f} ms: a lidar turns more evenly, they are "
+            f"stamps of scans jitter by {jitter * 1e3:.1f} ms: no sensor is so uneven, they are "
             "times of arrival"
         )
     gaps = np.flatnonzero(np.diff(stamps) > 1.5 * step)
@@ -125,6 +132,10 @@ def decide_timing(
             f"scans are missing {len(gaps)} times, {lost.sum():.1f} s in all (first at "
             f"{(stamps[gaps[0]] - stamps[0]) * unit:.1f} s)"
         )
+    if by_doppler:
+        length, said = _length(found, order)
+        plain = Timing(unit, 1.0, period, "none", 0.0, 0.0, length)
+        return plain, order, sentences + said
     timing, more = _of_points(source, found, order, unit, period)
     return _place(timing, stamp, more), order, sentences + more
 
@@ -168,15 +179,20 @@ def _order(source: Source, found: Survey) -> tuple[Indices, list[str]]:
     return order[~again], sentences
 
 
+def _length(found: Survey, order: Indices) -> tuple[float, list[str]]:
+    """Return the unit of points, m, and a sentence where it is not the metre."""
+    reach = float(np.nanmedian(found.reach[order]))
+    length = nearest(reach, USUAL_RANGE, LENGTH)
+    if length == 1.0:
+        return length, []
+    return length, [f"points are in {LENGTH[length]} (median range {reach:.0f}), not metres"]
+
+
 def _of_points(
     source: Source, found: Survey, order: Indices, unit: float, period: float
 ) -> tuple[Timing, list[str]]:
     """Return the timing of points, as the values alone show it."""
-    reach = float(np.nanmedian(found.reach[order]))
-    length = nearest(reach, USUAL_RANGE, LENGTH)
-    said = []
-    if length != 1.0:
-        said.append(f"points are in {LENGTH[length]} (median range {reach:.0f}), not metres")
+    length, said = _length(found, order)
     plain = Timing(unit, 1.0, period, "none", 0.0, 0.0, length)
     name = source.time_field
     if not found.has_times:

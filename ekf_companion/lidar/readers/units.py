@@ -12,6 +12,8 @@ SECONDS = {1.0: "seconds", 1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "na
 """Units of time, s."""
 ACCELERATION = {1.0: "m/s2", 9.80665: "g", 9.80665e-3: "mg", 1e-2: "cm/s2"}
 """Units of specific force, m/s2."""
+SPEED = {1.0: "m/s", 1 / 3.6: "km/h", 1e-2: "cm/s", 1e-3: "mm/s"}
+"""Units of radial speeds, m/s."""
 LENGTH = {1.0: "metres", 1e-3: "millimetres"}
 """Units of points, m."""
 
