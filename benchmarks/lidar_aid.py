@@ -159,10 +159,10 @@ def rows() -> Iterator[str]:
             flight = Flight.of(SEQUENCES / name)
             for aid in ("none", ".csv", ".tum", "rel"):
                 file = None if aid == "none" else PoseFile(folder / f"pose{aid}")
-                yield _row(name, aid, flight, cut, folder / "log.csv", file)
+                yield row(name, aid, flight, cut, folder / "log.csv", file)
 
 
-def _row(
+def row(
     name: str,
     aid: str,
     flight: Flight,
@@ -170,6 +170,7 @@ def _row(
     log: Path,
     file: PoseFile | None,
 ) -> str:
+    """Return the row of a flight with an aid, or none."""
     begin, end = cut or (STARTED, flight.end)
     found = []
     for seed in SEEDS:

@@ -31,6 +31,7 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.fly import Flown, over, play, run, telling
 from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.lidar.beams import BEAMS
+from sim_autopilot.lidar.radar import RAYS, simulate_radar
 from sim_autopilot.lidar.record import simulate as simulate_lidar
 from sim_autopilot.lidar.record import usual_lidar
 from sim_autopilot.lidar.worlds import WORLDS
@@ -185,17 +186,24 @@ def lidar(
         ..., help="A folder for .npz arrays, a .bag of ROS 1, or .mcap or .db3: a folder of ROS 2."
     ),
     world: str = typer.Option("room", help="Where: room, street, forest, tunnel, plain."),
-    beams: str | None = typer.Option(None, help="spin16, spin32 or rosette; None: as usual there."),
+    beams: str | None = typer.Option(
+        None, help="spin16, spin32, rosette or radar; None: as usual there."
+    ),
     seed: int = SEED,
     duration: float = typer.Option(40.0, help="Seconds.", min=2.0, max=600.0),
 ) -> None:
     """Write a recording of a simulated lidar and inertial sensor, with its truth."""
     with _exit_on_error():
-        for name, known in ((world, WORLDS), (beams, BEAMS)):
+        for name, known in ((world, [*WORLDS]), (beams, [*BEAMS, RAYS.name])):
             if name is not None and name not in known:
                 raise typer.BadParameter(f"{name}: unknown; there are {', '.join(known)}")
-        fitted = usual_lidar(world, BEAMS[beams] if beams else None)
-        recorded = simulate_lidar(world, seed, duration=duration, lidar=fitted, name=output.stem)
+        if beams == RAYS.name:
+            recorded = simulate_radar(world, seed, duration=duration)
+        else:
+            fitted = usual_lidar(world, BEAMS[beams] if beams else None)
+            recorded = simulate_lidar(
+                world, seed, duration=duration, lidar=fitted, name=output.stem
+            )
         if output.suffix in (".bag", ".mcap", ".db3"):
             write_bag(output, recorded)
         else:

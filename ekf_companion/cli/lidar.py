@@ -115,6 +115,7 @@ def lidar(
                 lidar=lidar_topic,
                 imu=imu_topic,
                 by_doppler=None if form is None else form == "doppler",
+                most_speed=most_speed,
             )
             _check_kind(found, outputs, stamp)
             solution = solve(_unsure(found) if settings.is_mounting_estimated else found, settings)

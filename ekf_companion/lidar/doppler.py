@@ -129,7 +129,8 @@ def ego_velocity(scan: Scan, settings: Settings, step: float, expected: Array) -
     A = (H[agrees].T / var) @ H[agrees]
     rms = float(np.sqrt(np.mean((d - H @ vel)[agrees] ** 2 / var)))
     # What a scan has as a whole, without an inverse of A: it may hardly hold one direction
-    information = np.linalg.solve(np.eye(3) + settings.doppler_scan**2 * A, A)
+    whole = settings.doppler_scan**2 + settings.doppler_angle**2 * float(vel @ vel)
+    information = np.linalg.solve(np.eye(3) + whole * A, A)
     information = 0.5 * (information + information.T)
     return EgoVelocity(scan.stamp, len(kept), int(agrees.sum()), vel, information, rms)
 

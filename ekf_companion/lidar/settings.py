@@ -29,10 +29,10 @@ class Settings:
     doppler_angle: float = 0.022
     """Of the direction of one point of a radar, one sigma on each axis, rad: what the speeds across
     show in a recording of a 60 GHz radar (0.036 m/s at rest, 0.044 at 1.2 m/s)."""
-    doppler_scan: float = 0.05
-    """Of the velocity by one scan of a radar as a whole, one sigma on each axis, m/s: points of one
-    object share the error of its direction. Innovations of that recording have 0.04 to 0.05 more
-    than its points explain; Doer and Trommer 2020 take 0.025 to 0.05."""
+    doppler_scan: float = 0.04
+    """Of the velocity by one scan of a radar as a whole, one sigma on each axis, m/s, and besides
+    the error of a direction, which points of one object share. Innovations of that recording at 1.2
+    m/s have 0.04 to 0.05 more than its points explain; Doer and Trommer 2020 take 0.025 to 0.05."""
     most_doppler: float = 0.0
     """Radial speed at which those of a radar wrap to the other sign, m/s; 0: they do not."""
 

@@ -4,6 +4,7 @@ worlds   what stands in a room, a street, a forest, a tunnel, on a plain; castin
 beams    the directions of a lidar's rays as a function of time
 motion   smooth motions, and the exact inertial samples of one
 record   a recording of it all from one seed
+radar    the same of a radar, with the radial speed of each point
 write    the files: lidar.npz, imu.npz, truth.npz, calib.json; bags of ROS 1 and ROS 2
 livox    the same as the datagrams of a Livox Mid-360
 

@@ -77,6 +77,8 @@ class Simulated:
     """rad/s, of each sample, shape (n, 3)."""
     accel_bias: Array
     """m/s2, of each sample, shape (n, 3)."""
+    doppler: npt.NDArray[np.float32] | None = None
+    """m/s, radial speed of each point of a radar, positive away, shape (n,)."""
 
 
 def simulate(
@@ -106,7 +108,7 @@ def simulate(
     scene, motion = scene or WORLDS[world](of_world), motion or MOTIONS[world]
     fitted = lidar or usual_lidar(world)
     points = _scan(scene, motion, fitted, duration, of_lidar)
-    samples = _sample(motion, errors or ImuErrors(), duration, of_imu)
+    samples = sample(motion, errors or ImuErrors(), duration, of_imu)
     return Simulated(name or world, fitted, errors or ImuErrors(), motion, scene, *points, *samples)
 
 
@@ -168,9 +170,10 @@ def _scan(
     )
 
 
-def _sample(
+def sample(
     motion: Motion, errors: ImuErrors, duration: float, rng: np.random.Generator
 ) -> tuple[Array, npt.NDArray[np.float32], npt.NDArray[np.float32], Array, Array]:
+    """Return stamps, gyro, accel and their biases of a motion."""
     step = 1.0 / errors.rate
     stamp = np.array(step * np.arange(1, int(duration * errors.rate)), np.float64)
     shape = (len(stamp), 3)

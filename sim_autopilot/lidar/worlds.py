@@ -13,6 +13,7 @@ STATIC, MOVING, FOLIAGE = 0, 1, 2
 """Labels of what a ray meets."""
 _AWAY = 1e9
 """m: nothing was met."""
+_STILL = np.zeros(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +42,8 @@ class Hits:
     cosine: Array
     """Of the angle of incidence, shape (n,)."""
     label: npt.NDArray[np.uint8]
+    velocity: Array
+    """m/s, of what is met, shape (n, 3)."""
 
 
 def cast(world: World, origin: Array, direction: Array, t: Array) -> Hits:
@@ -56,13 +59,15 @@ def cast(world: World, origin: Array, direction: Array, t: Array) -> Hits:
     best = np.full(count, _AWAY)
     cosine = np.ones(count)
     label = np.zeros(count, np.uint8)
+    velocity = np.zeros((count, 3))
     safe = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
 
-    def take(distance: Array, incidence: Array, kind: int) -> None:
+    def take(distance: Array, incidence: Array, kind: int, speed: Array = _STILL) -> None:
         nearer = (distance > 1e-3) & (distance < best)
         best[nearer] = distance[nearer]
         cosine[nearer] = incidence[nearer]
         label[nearer] = kind
+        velocity[nearer] = speed
 
     if world.has_ground:
         take(-origin[:, 2] / safe[:, 2], np.abs(direction[:, 2]), STATIC)
@@ -71,12 +76,12 @@ def cast(world: World, origin: Array, direction: Array, t: Array) -> Hits:
         take(*_box(origin, safe, box[:3], box[3:], inside), STATIC)
     for box in world.movers:
         place = box[6:9] * t[:, None]
-        take(*_box(origin - place, safe, box[:3], box[3:6], False), MOVING)
+        take(*_box(origin - place, safe, box[:3], box[3:6], False), MOVING, box[6:9])
     for axis in world.cylinders:
         take(*_cylinder(origin, safe, axis), STATIC)
     for ball in world.spheres:
         take(*_sphere(origin, direction, ball), FOLIAGE)
-    return Hits(best, cosine, label)
+    return Hits(best, cosine, label, velocity)
 
 
 def _box(

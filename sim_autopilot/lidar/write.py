@@ -33,6 +33,7 @@ def write_sequence(folder: Path, flown: Simulated) -> None:
         ring=flown.ring,
         unit=np.float64(UNIT),
         tick=np.float64(TICK),
+        **({} if flown.doppler is None else {"doppler": flown.doppler}),
     )
     np.savez_compressed(
         folder / "imu.npz", stamp=flown.imu_stamp, gyro=flown.gyro, accel=flown.accel
@@ -91,7 +92,9 @@ def _calib(flown: Simulated) -> dict[str, Any]:
 
 
 def write_bag(path: Path, flown: Simulated) -> None:
-    """Write PointCloud2 (x, y, z, ring, t in ns), Imu and /tf_static: .bag, or a folder of ROS 2.
+    """Write PointCloud2, Imu and /tf_static: .bag, or a folder of ROS 2.
+
+    Points have x, y, z, ring and t in ns; those of a radar have x, y, z and velocity.
 
     Args:
         path: .bag, or the folder of a bag of ROS 2: .mcap at its end, .db3 else.
@@ -151,15 +154,22 @@ class _Messages:
 
     def cloud(self, ns: int, flown: Simulated, part: slice) -> Any:
         layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<u4")])
+        numbers = {"x": 7, "y": 7, "z": 7, "ring": 4, "t": 6}
+        if flown.doppler is not None:
+            layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("velocity", "<f4")])
+            numbers = {"x": 7, "y": 7, "z": 7, "velocity": 7}
         rows = np.zeros(part.stop - part.start, layout)
         for axis, name in enumerate("xyz"):
             rows[name] = flown.xyz[part, axis] * UNIT
-        rows["ring"] = flown.ring[part]
-        rows["t"] = np.round(flown.dt[part] * (TICK * 1e9))
+        if flown.doppler is not None:
+            rows["velocity"] = flown.doppler[part]
+        else:
+            rows["ring"] = flown.ring[part]
+            rows["t"] = np.round(flown.dt[part] * (TICK * 1e9))
         field = self._types["sensor_msgs/msg/PointField"]
         fields = [
             field(name, layout.fields[name][1], number, 1)  # type: ignore[index]
-            for name, number in (("x", 7), ("y", 7), ("z", 7), ("ring", 4), ("t", 6))
+            for name, number in numbers.items()
         ]
         return self._types["sensor_msgs/msg/PointCloud2"](
             self._head(ns, "lidar"),

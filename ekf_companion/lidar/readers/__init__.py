@@ -33,6 +33,7 @@ def read(
     lidar: str | None = None,
     imu: str | None = None,
     by_doppler: bool | None = None,
+    most_speed: float = 0.0,
 ) -> Recording:
     """Return a recording in any form that is known, with what was decided about it.
 
@@ -45,12 +46,13 @@ def read(
             of its inertial samples; None: imu.csv beside it.
         by_doppler: Whether the radial speeds of the points count, as of a radar. None: where the
             points have them.
+        most_speed: Radial speed at which those of a radar wrap, m/s; 0: they do not.
 
     Raises:
         LogError: It cannot be read, or nothing can be estimated from it.
         MissingPackageError: The package that reads its form is not installed.
     """
-    return judge(_open(Path(path), lidar, imu), mounting, stamp, by_doppler)
+    return judge(_open(Path(path), lidar, imu), mounting, stamp, by_doppler, most_speed)
 
 
 def _open(path: Path, lidar: str | None, imu: str | None) -> Source:

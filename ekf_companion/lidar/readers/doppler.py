@@ -3,23 +3,25 @@
 The velocity by radial speeds changes as the inertial samples say: from one time to another, in
 axes that the gyro carries along,
 
-    C2 s R v2 - C1 s R v1 = integral of C f - g (t2 - t1)
+    C2 (R v2 - s w2 x l) - C1 (R v1 - s w1 x l) = s (integral of C f - g (t2 - t1))
 
-with R the mounting and s the unit: negative where speeds are positive towards the sensor, or
+with R and l the mounting and s the unit: negative where speeds are positive towards the sensor, or
 where one axis is mirrored, which is the same. Pieces that follow each other share the direction of
-gravity, which leaves with their mean. Where the vehicle does not accelerate nothing is shown, and
-nothing changed.
+gravity, which leaves with their mean. The noise is that of the radar, on the left: so no scale is
+made small by it. Where the vehicle does not accelerate nothing is shown, and nothing changed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from operator import itemgetter
 
 import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.lidar.doppler import EgoVelocity, velocities
+from ekf_companion.lidar.radar import LATE
 from ekf_companion.lidar.readers.scans import Scans
 from ekf_companion.lidar.readers.timing import Timing
 from ekf_companion.lidar.readers.units import SPEED, nearest
@@ -38,17 +40,22 @@ LEAST = 24
 """Pieces of which anything is found: three times as many rows as there are unknowns."""
 LATENESS = np.arange(-0.3, 0.3001, 0.02)
 """Delays that are tried, s: a radar takes and sends a scan in two of its periods."""
-STARTS = 3
-"""Best of the 24 rotations onto axes from which the mounting is refined."""
 ROUNDS = 8
 STEP = 1e-4
 """Of the differences by which the rotation is refined, rad."""
-SHOWN = np.radians(12.0)
+SHOWN = float(np.radians(12.0))
 """Sigma of the mounting up to which it counts as shown: the axes of a cube are 90 deg apart."""
-APART = np.radians(30.0)
+APART = float(np.radians(30.0))
 """Of a mounting that is known, beyond which it is another one: nobody measures so badly."""
-SIGMAS = 4.0
-"""By which a mounting that is known, or a delay of none, must be missed to be wrong."""
+SIGMAS = 5.0
+"""By which a mounting that is known, signs as usual, or a delay of none must miss to be wrong: of
+50 that are tried one misses by 4 where the noise is not white."""
+UNIT_SIGMA = 0.2
+"""Relative sigma of the unit up to which it counts as shown: its sign then is."""
+LEAST_UNIT = 1e-2
+"""Size of a unit whose sign a start does not show."""
+TAIL = 27.0
+"""Square of a piece in its sigmas at which it has half its weight: three for each axis."""
 POSITION_SIGMA = 0.1
 """m, on each axis, of a radar on a vehicle that fits a hand."""
 
@@ -59,24 +66,41 @@ class Fit:
 
     rotation: Array
     """Radar to body."""
-    scale: float
-    """Of its velocities; negative where the radial speeds are positive towards the sensor."""
+    unit: float
+    """Of its velocities, 1 for m/s; negative where speeds are positive towards the sensor."""
     delay: float
     """s, added to the stamps of the scans."""
     P: Array
-    """Of rotation (vector in the radar's frame) and log of the scale, shape (4, 4)."""
+    """Of rotation, a vector in the radar's frame, and logarithm of the unit, shape (4, 4)."""
     delay_sigma: float
+    cost: float
+    """Sum of the squares of what is left of the changes of velocity, in their sigmas."""
     left: float
-    """Share of the changes of velocity that is not explained."""
+    """Share of them that is left."""
+    freedom: int
+    """Of the sum: rows less unknowns."""
 
     @property
     def sigma(self) -> float:
         """Return the largest sigma of the rotation, rad."""
         return float(np.sqrt(np.linalg.eigvalsh(self.P[:3, :3])[-1]))
 
+    @property
+    def is_seen(self) -> bool:
+        """Return whether the motion shows the unit, and with it the sign."""
+        return float(self.P[3, 3]) < UNIT_SIGMA**2
+
+    def apart(self, rotation: Array) -> float:
+        """Return the angle to another rotation, rad."""
+        return float(np.linalg.norm(so3.log(so3.from_matrix(rotation.T @ self.rotation))))
+
+    def is_better(self, other: Fit) -> bool:
+        """Return whether less is left by more than chance."""
+        return other.cost - self.cost > SIGMAS**2 * max(1.0, self.cost / self.freedom)
+
 
 def compare_doppler(
-    scans: Scans, inertial: InertialSamples, mounting: Mounting | None
+    scans: Scans, inertial: InertialSamples, mounting: Mounting | None, most_speed: float
 ) -> tuple[Timing, Mounting, list[str]]:
     """Return timing and mounting by which radar and inertial samples agree, and sentences on them.
 
@@ -84,19 +108,21 @@ def compare_doppler(
         scans: The scans, with the timing that their values show.
         inertial: The samples, in SI units and in order.
         mounting: Of the radar on the inertial sensor; None: not known.
+        most_speed: Radial speed at which they wrap, in the recording's unit; 0: they do not.
 
     Raises:
         LogError: They contradict each other.
     """
     timing, name = scans.timing, scans.source.name
-    found = [one for one in velocities(scans, Settings()) if one.vel is not None]
+    settings = Settings(most_doppler=most_speed)
+    found = [one for one in velocities(scans, settings) if one.vel is not None]
     if len(found) < 2:
         raise LogError(
             f"{name}: {len(found)} scans show a velocity: too few points, or none that agree; "
-            "is it the right topic, and the radar's static clutter removal off?"
+            "is it the right topic, and is what stands still not filtered out by the radar?"
         )
-    fit = find(found, inertial)
-    if fit is None or fit.sigma > SHOWN:
+    fit = find(found, inertial, mounting)
+    if fit is None or not fit.is_seen or (mounting is None and fit.sigma > SHOWN):
         if mounting is not None:
             return timing, mounting, ["the motion does not show whether radar and samples agree"]
         words = "the recording does not say how the radar is mounted, nor does the motion show it"
@@ -107,7 +133,8 @@ def compare_doppler(
     ]
     timing, words = _units(timing, fit, is_known=mounting is not None)
     sentences += words
-    if abs(fit.delay) > SIGMAS * fit.delay_sigma:
+    # What is less the filter finds
+    if abs(fit.delay) > max(2.0 * LATE, SIGMAS * fit.delay_sigma):
         late = "late" if fit.delay < 0 else "early"
         timing = replace(timing, shift=timing.shift + fit.delay)
         sentences.append(
@@ -121,37 +148,28 @@ def compare_doppler(
             f"sigma {np.degrees(fit.sigma):.1f} deg, taken for at the inertial sensor; give the "
             "mounting if it is known"
         )
-        return timing, mounting, sentences
-    turn = so3.log(so3.from_matrix(mounting.rotation.T @ fit.rotation))
-    P = fit.P[:3, :3] + mounting.rotation_sigma**2 * np.eye(3)
-    angle, misses = float(np.linalg.norm(turn)), float(turn @ np.linalg.solve(P, turn))
-    if angle > APART and misses > SIGMAS**2:
+    elif (angle := fit.apart(mounting.rotation)) > APART:
         raise LogError(
             f"{name}: the axes of radar and inertial sensor do not belong together: by the motion "
             f"the radar is mounted at {_angles(fit)}, {np.degrees(angle):.0f} deg from where it is "
             f"said to be{_mirrored(fit)}; correct the axes (forward, left, up), or the mounting"
-        )
-    if misses > SIGMAS**2:
-        sentences.append(
-            f"by the motion the radar is mounted at {_angles(fit)}, {np.degrees(angle):.0f} deg "
-            "from where it is said to be: measure it again"
         )
     return timing, mounting, sentences
 
 
 def _units(timing: Timing, fit: Fit, *, is_known: bool) -> tuple[Timing, list[str]]:
     """Return the timing with the unit and sign of the speeds, and sentences on them."""
-    unit, said = nearest(1.0, abs(fit.scale), SPEED), list[str]()
+    unit, said = nearest(1.0, 1.0 / abs(fit.unit), SPEED), list[str]()
     if unit != 1.0:
         said.append(f"radial speeds are in {SPEED[unit]}, not m/s")
-    if fit.scale < 0:
+    if fit.unit < 0:
         mirrored = "" if is_known else ", or an axis of the radar is mirrored, which is the same"
         said.append(f"radial speeds are positive towards the sensor{mirrored}: turned round")
-    return replace(timing, speed_unit=np.sign(fit.scale) * unit), said
+    return replace(timing, speed_unit=np.sign(fit.unit) * unit), said
 
 
 def _mirrored(fit: Fit) -> str:
-    return ", and its speeds are reversed or one axis mirrored" if fit.scale < 0 else ""
+    return ", and its speeds are reversed or one axis mirrored" if fit.unit < 0 else ""
 
 
 def _angles(fit: Fit) -> str:
@@ -159,26 +177,45 @@ def _angles(fit: Fit) -> str:
     return f"roll, pitch, yaw of {roll:.0f}, {pitch:.0f}, {yaw:.0f} deg"
 
 
-def find(found: list[EgoVelocity], inertial: InertialSamples) -> Fit | None:
-    """Return how a radar is turned and late by its velocities; None: too few pieces."""
+def find(
+    found: list[EgoVelocity], inertial: InertialSamples, mounting: Mounting | None
+) -> Fit | None:
+    """Return how a radar is turned and late by its velocities; None: too few of them.
+
+    A mounting that is known, and speeds that are positive away, hold unless the motion denies them
+    decisively: what it does not show, as which side is left of a vehicle that never moves there,
+    it must not change.
+    """
     carried = _Carried.of(inertial)
-    tried = [_fit(found, carried, delay, starts=1) for delay in LATENESS.tolist()]
-    costs = np.array([np.inf if one is None else one.left for one in tried])
+    lever = np.zeros(3) if mounting is None else mounting.position
+    known = [] if mounting is None else [mounting.rotation]
+    every = [*known, *_onto_axes()]
+
+    def fit_at(delay: float) -> Fit | None:
+        """Return the fit at a delay."""
+        pieces, best = _Pieces.of(found, carried, delay, lever), None
+        if pieces is None:
+            return None
+        for rotations, sign in ((known, 1.0), (known, -1.0), (every, 1.0), (every, -1.0)):
+            for other in pieces.fits(rotations, sign):
+                if best is None or other.is_better(best):
+                    best = other
+        return None if best is None else replace(best, delay=delay)
+
+    tried = [fit_at(delay) for delay in LATENESS.tolist()]
+    costs = np.array([np.inf if one is None else one.cost for one in tried])
     best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
     if not np.isfinite(costs[best - 1 : best + 2]).all():
         return None
     before, here, after = costs[best - 1 : best + 2].tolist()
     step, bend = float(LATENESS[1] - LATENESS[0]), before - 2.0 * here + after
-    delay = float(LATENESS[best])
+    delay, sigma = float(LATENESS[best]), np.inf
     if bend > 0:
         delay += 0.5 * step * float(np.clip((before - after) / bend, -1.0, 1.0))
-    fit = _fit(found, carried, delay, starts=STARTS)
-    if fit is None:
-        return None
-    # The variance of what is left over the curvature of its sum, halved
-    rows = 3.0 * (found[-1].stamp - found[0].stamp) / PIECE
-    sigma = step * np.sqrt(2.0 * fit.left / max(rows - 5, 1) / bend) if bend > 0 else np.inf
-    return replace(fit, delay_sigma=float(sigma))
+    fit = fit_at(delay)
+    if fit is not None and bend > 0:
+        sigma = step * np.sqrt(2.0 * max(1.0, fit.cost / fit.freedom) / bend)
+    return None if fit is None else replace(fit, delay_sigma=float(sigma))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,6 +227,8 @@ class _Carried:
     """Quaternions w, x, y, z, shape (n, 4)."""
     force: Array
     """m/s, shape (n, 3)."""
+    rate: Array
+    """rad/s, shape (n, 3)."""
 
     @classmethod
     def of(cls, inertial: InertialSamples) -> _Carried:
@@ -201,34 +240,42 @@ class _Carried:
         q = so3.normalise(np.array(attitude))
         force = so3.rotate(q, inertial.accel)
         steps = 0.5 * (force[1:] + force[:-1]) * dt
-        return cls(inertial.stamp, q, np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]))
+        whole = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+        return cls(inertial.stamp, q, whole, inertial.gyro)
 
-    def at(self, t: Array) -> tuple[Array, Array]:
-        """Return attitude matrices and integrals at times."""
+    def at(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return attitude matrices, integrals of the force and rates at times."""
         q = np.stack([np.interp(t, self.stamp, one) for one in self.attitude.T], axis=1)
         force = np.stack([np.interp(t, self.stamp, one) for one in self.force.T], axis=1)
-        return so3.to_matrix(so3.normalise(q)), force
+        rate = np.stack([np.interp(t, self.stamp, one) for one in self.rate.T], axis=1)
+        return so3.to_matrix(so3.normalise(q)), force, rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
     """Velocities of the radar at both ends of pieces, and how the inertial samples change."""
 
-    v1: Array
-    """m/s, in the radar's axes, shape (n, 3)."""
-    v2: Array
-    C1: Array
-    """Body to the axes that the gyro carries along, shape (n, 3, 3)."""
-    C2: Array
+    vel: tuple[Array, Array]
+    """m/s, in the radar's axes, at both ends, shape (n, 3) each."""
+    C: tuple[Array, Array]
+    """Body to the axes that the gyro carries along, shape (n, 3, 3) each."""
+    rate: tuple[Array, Array]
+    """Of the body, rad/s, shape (n, 3) each."""
     span: Array
     """s, shape (n,)."""
     block: Indices
     """That shares a direction of gravity, shape (n,)."""
     change: Array
     """Mean force less that of the block, m/s^2, shape (n, 3)."""
+    weight: Array
+    """Inverse of the variance of each of its axes by the radar, s^4/m^2, shape (n,)."""
+    lever: Array
+    """Of the radar on the inertial sensor as it is said to be, m."""
 
     @classmethod
-    def of(cls, found: list[EgoVelocity], carried: _Carried, delay: float) -> _Pieces | None:
+    def of(
+        cls, found: list[EgoVelocity], carried: _Carried, delay: float, lever: Array
+    ) -> _Pieces | None:
         """Return the pieces between scans at a delay; None: too few."""
         t = np.array([one.stamp for one in found]) + delay
         ends = list[int]()
@@ -241,51 +288,66 @@ class _Pieces:
         good = np.flatnonzero(span < 2.0 * PIECE)
         if len(good) < LEAST:
             return None
-        C, force = carried.at(t[k])
+        C, force, rate = carried.at(t[k])
         vel = np.array([found[index].vel for index in ends])
         block = np.arange(len(span))[good] // PIECES
-        mean = (np.diff(force, axis=0) / span[:, None])[good]
-        C1, C2 = C[good], C[good + 1]
-        change = _less_mean(mean, block)
-        return cls(vel[good], vel[good + 1], C1, C2, span[good], block, change)
+        change = _less_mean((np.diff(force, axis=0) / span[:, None])[good], block)
+        both = [(one[good], one[good + 1]) for one in (vel, C, rate)]
+        var = np.array([np.trace(np.linalg.pinv(found[index].information)) / 3 for index in ends])
+        weight = span[good] ** 2 / (var[good] + var[good + 1])
+        return cls(*both, span[good], block, change, weight, lever)
 
-    def by_radar(self, R: Array) -> Array:
-        """Return the changes of velocity of a radar that is turned so, as :attr:`change` is."""
-        ends = np.einsum("nij,nj->ni", self.C2, self.v2 @ R.T)
-        ends -= np.einsum("nij,nj->ni", self.C1, self.v1 @ R.T)
-        return _less_mean(ends / self.span[:, None], self.block)
+    def fits(self, rotations: list[Array], sign: float) -> list[Fit]:
+        """Return the fit from the best of some rotations, with a unit of this sign."""
+        tried = []
+        for R in rotations:
+            x = self.by_radar(R, self.lever)
+            square = float(self.weight @ (self.change**2).sum(axis=1))
+            unit = float(self.weight @ (x * self.change).sum(axis=1)) / max(square, 1e-12)
+            unit = unit if unit * sign > 0 else LEAST_UNIT * sign
+            left = self.weight @ ((x - unit * self.change) ** 2).sum(axis=1)
+            tried.append((float(left), R, unit))
+        return [self.refined(R, unit) for _, R, unit in sorted(tried, key=itemgetter(0))[:1]]
 
-    def refined(self, R: Array, scale: float) -> Fit:
-        """Return the fit by Gauss-Newton from a start."""
-        y, J = self.change.ravel(), np.zeros((self.change.size, 4))
+    def by_radar(self, R: Array, lever: Array) -> Array:
+        """Return the changes of velocity of a radar that is mounted so, as :attr:`change` is."""
+        ends = [
+            np.einsum("nij,nj->ni", C, vel @ R.T - np.cross(rate, lever))
+            for C, vel, rate in zip(self.C, self.vel, self.rate, strict=True)
+        ]
+        return _less_mean((ends[1] - ends[0]) / self.span[:, None], self.block)
+
+    def refined(self, R: Array, unit: float) -> Fit:
+        """Return the fit of rotation, unit and lever arm by Gauss-Newton from a start.
+
+        Pieces count the less the worse they fit: scans of which most points move are among them.
+        """
+        lever, J = self.lever, np.zeros((*self.change.shape, 7))
+        # What nothing shows stays where it is
+        prior = np.array([1e-6] * 4 + [POSITION_SIGMA**-2] * 3)
         for _ in range(ROUNDS):
-            x = self.by_radar(R).ravel()
+            x = self.by_radar(R, unit * lever)
             for axis, turn in enumerate(STEP * np.eye(3)):
-                J[:, axis] = scale * (self.by_radar(R @ exp(turn)).ravel() - x) / STEP
-            J[:, 3] = scale * x
-            # What nothing shows stays where it is
-            A = J.T @ J + 1e-9 * np.eye(4)
-            dx = np.linalg.solve(A, J.T @ (y - scale * x))
-            dx *= min(1.0, 0.5 / max(float(np.linalg.norm(dx)), 1e-9))
-            R, scale = R @ exp(dx[:3]), scale * float(np.exp(dx[3]))
-        cost = float(np.sum((y - scale * self.by_radar(R).ravel()) ** 2))
-        P = cost / max(y.size - 4, 1) * np.linalg.inv(A)
-        return Fit(R, scale, 0.0, P, np.inf, cost / max(float(y @ y), 1e-12))
-
-
-def _fit(found: list[EgoVelocity], carried: _Carried, delay: float, starts: int) -> Fit | None:
-    """Return the fit at a delay, from the best of the rotations that turn axes onto axes."""
-    pieces = _Pieces.of(found, carried, delay)
-    if pieces is None:
-        return None
-    tried = []
-    for R in _onto_axes():
-        x = pieces.by_radar(R)
-        scale = float((x * pieces.change).sum()) / max(float((x**2).sum()), 1e-12)
-        tried.append((float(((pieces.change - scale * x) ** 2).sum()), R, scale))
-    tried.sort(key=lambda one: one[0])
-    fits = [pieces.refined(R, scale) for _, R, scale in tried[:starts]]
-    return replace(min(fits, key=lambda one: one.left), delay=delay)
+                J[:, :, axis] = (self.by_radar(R @ exp(turn), unit * lever) - x) / STEP
+                J[:, :, 4 + axis] = (self.by_radar(R, unit * (lever + turn)) - x) / STEP
+            J[:, :, 3] = self.by_radar(R, unit * lever) - self.by_radar(R, np.zeros(3))
+            J[:, :, 3] -= unit * self.change
+            r = x - unit * self.change
+            weight = self.weight / (1.0 + self.weight * (r**2).sum(axis=1) / TAIL)
+            A = np.einsum("n,nij,nik->jk", weight, J, J) + np.diag(prior)
+            b = -np.einsum("n,nij,ni->j", weight, J, r)
+            b[4:] += prior[4:] * (self.lever - lever)
+            dx = np.linalg.solve(A, b)
+            dx *= min(1.0, 0.5 / max(float(np.linalg.norm(dx[:4])), 1e-9))
+            R, unit, lever = R @ exp(dx[:3]), unit * float(np.exp(dx[3])), lever + dx[4:]
+        r = self.by_radar(R, unit * lever) - unit * self.change
+        square = self.weight * (r**2).sum(axis=1)
+        cost = float(TAIL * np.log1p(square / TAIL).sum())
+        whole = weight @ (x**2).sum(axis=1)
+        freedom = max(self.change.size - 3 * (int(self.block[-1]) + 1) - 7, 1)
+        P = max(1.0, cost / freedom) * np.linalg.inv(A)[:4, :4]
+        left = float(weight @ (r**2).sum(axis=1)) / max(float(whole), 1e-12)
+        return Fit(R, unit, 0.0, P, np.inf, cost, min(left, 1.0), freedom)
 
 
 def _less_mean(rows: Array, block: Indices) -> Array:

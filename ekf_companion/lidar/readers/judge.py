@@ -21,6 +21,7 @@ def judge(
     mounting: Mounting | None,
     stamp: str | None,
     by_doppler: bool | None = None,
+    most_speed: float = 0.0,
 ) -> Recording:
     """Return the recording of a source, with every decision in a sentence.
 
@@ -29,6 +30,7 @@ def judge(
         mounting: The lidar on the inertial sensor; None: as the recording says.
         stamp: `start`, `middle` or `end` of a scan, of which the stamps are; None: to be decided.
         by_doppler: Whether radial speeds count; None: where the points have them.
+        most_speed: Radial speed at which they wrap, m/s; 0: they do not.
 
     Raises:
         LogError: Nothing can be estimated from it, or its lidar and its inertial samples
@@ -48,7 +50,7 @@ def judge(
     known = mounting or source.mounting
     if by_doppler:
         scans = Scans(source, timing, order)
-        timing, chosen, about_motion = compare_doppler(scans, inertial, known)
+        timing, chosen, about_motion = compare_doppler(scans, inertial, known, most_speed)
         return Recording(
             name=source.name,
             scans=replace(scans, timing=timing),

@@ -1,0 +1,390 @@
+"""The way of a radar by its radial speeds: velocities, covariance, and what damage does to it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.cli import app
+from ekf_companion.lidar import radar
+from ekf_companion.lidar.doppler import find_step, velocities
+from ekf_companion.lidar.motion import Path, prepare, propagate
+from ekf_companion.lidar.readers import read
+from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
+from ekf_companion.lidar.settings import Settings
+from ekf_companion.lidar.solution import solve
+from ekf_companion.lidar.state import DELAY, EXCESS, N, State, exp
+from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
+from sim_autopilot.lidar.record import Simulated, usual_lidar
+from sim_autopilot.lidar.write import write_bag, write_sequence
+from tests.lidar.recordings import arrays, small
+from tests.paths import DATA
+
+WALK = 26.0
+FRAME = 0.5 * RadarErrors().frame
+"""When the speeds of a scan are true, s after its stamp."""
+
+
+@lru_cache
+def walk(seed: int = 3, **errors: float) -> Simulated:
+    """A walk in a room, at rest for three seconds."""
+    return simulate_radar("room", seed, duration=WALK, errors=RadarErrors(**errors))
+
+
+def written(path, flown, edit=None, *, has_mounting=True):
+    """Write a recording after `edit(lidar, imu)`."""
+    write_sequence(path, flown)
+    lidar, imu = arrays(flown)
+    lidar["doppler"] = flown.doppler.copy()
+    if edit is not None:
+        edit(lidar, imu)
+    np.savez(path / "lidar.npz", **lidar)
+    np.savez(path / "imu.npz", **imu)
+    if not has_mounting:
+        (path / "calib.json").unlink()
+    return path
+
+
+def true_velocity(flown, stamp):
+    """Return the true velocity of the sensor in its own axes at times, shape (n, 3)."""
+    t = np.asarray(stamp)
+    C, motion = flown.motion.rotation(t), flown.motion
+    body = np.einsum("nji,nj->ni", C, motion.velocity(t))
+    return (body + np.cross(motion.gyro(t), flown.lidar.position)) @ flown.lidar.rotation
+
+
+def errors_of(flown, solution):
+    """Return errors of the positions since the first pose, in its axes, and their covariances."""
+    t = solution.track.stamp + FRAME
+    place = flown.motion.position(t)
+    truth = (place - place[0]) @ flown.motion.rotation(t[:1])[0]
+    return solution.track.pos_w - truth, solution.track.covariance[:, 3:6, 3:6]
+
+
+def scans_of(flown):
+    """Return the scans as a reader does."""
+    return [
+        Scan(
+            float(stamp),
+            flown.xyz[a:b] * 0.003,
+            np.zeros(b - a),
+            None,
+            flown.doppler[a:b].astype(float),
+        )
+        for stamp, a, b in zip(flown.stamp, flown.first[:-1], flown.first[1:], strict=True)
+    ]
+
+
+@pytest.mark.parametrize("world", ["room", "forest", "street"])
+def test_the_velocity_of_a_scan_is_true_within_its_covariance(world):
+    nees, errors = [], []
+    for seed in (1, 2):
+        flown = simulate_radar(world, seed, duration=14.0)
+        found = [one for one in velocities(scans_of(flown), Settings()) if one.vel is not None]
+        assert len(found) > 0.98 * len(flown.stamp)
+        true = true_velocity(flown, [one.stamp + FRAME for one in found])
+        for one, vel in zip(found, true, strict=True):
+            if np.linalg.norm(vel) > 0.3:
+                error = one.vel - vel
+                errors.append(error)
+                nees.append(error @ one.information @ error / 3.0)
+    # Where most points are of a car that passes nothing but the inertial samples can tell
+    errors, nees = np.array(errors), np.array(nees)
+    assert np.median(np.linalg.norm(errors, axis=1)) < 0.12
+    assert np.percentile(nees, 97) < 3.0
+    # 0.05 m/s of each scan is more than this simulator has at a walk, and less than at 5 m/s
+    assert 0.05 < np.median(nees) < 1.2
+
+
+def test_movers_and_ghosts_are_left_out():
+    flown = simulate_radar(
+        "street", 4, duration=16.0, errors=RadarErrors(ghosts=0.0, shared_angle=0.0)
+    )
+    found = list(velocities(scans_of(flown), Settings()))
+    moving = np.add.reduceat(flown.label == 1, flown.first[:-1])
+    left = np.array([one.points - one.used for one in found])
+    assert (left >= 0.6 * moving).mean() > 0.9
+    assert moving.sum() > 100
+    still = moving == 0
+    assert np.mean(left[still]) < 1.5
+
+
+def test_the_step_of_the_speeds_is_found():
+    assert find_step(scans_of(walk())) == pytest.approx(0.125, rel=1e-5)
+    assert find_step(scans_of(walk(step=0.0))) == 0.0
+    assert find_step([]) == 0.0
+
+
+def test_a_scan_with_few_points_shows_no_velocity():
+    scan = scans_of(walk())[200]
+    few = Scan(scan.stamp, scan.points[:4], scan.times[:4], None, scan.doppler[:4])
+    none = Scan(scan.stamp, scan.points[:0], scan.times[:0], None, scan.doppler[:0])
+    along = np.outer(np.linspace(1.0, 5.0, 30), (1.0, 0.2, 0.1))
+    line = Scan(scan.stamp, along, np.zeros(30), None, np.full(30, -0.5))
+    for one in (few, none, line):
+        (found,) = velocities([one], Settings())
+        assert found.vel is None
+        assert found.used == 0
+
+
+def test_the_jacobian_of_the_velocity_is_its_difference():
+    rng = np.random.default_rng(1)
+    stamp = np.arange(0.0, 1.0, 0.002)
+    gyro, accel = np.tile([0.4, -0.3, 0.8], (500, 1)), np.tile([0.5, 1.0, 9.6], (500, 1))
+    samples = prepare(InertialSamples(stamp, gyro, accel))
+    x = State(
+        C_wb=exp(np.array([0.3, -0.5, 1.0])),
+        vel_w=np.array([1.0, -2.0, 0.4]),
+        C_bl=exp(np.array([0.2, 0.4, -0.7])),
+        pos_b=np.array([0.3, -0.2, 0.5]),
+        gyro_bias=np.array([0.01, -0.02, 0.03]),
+    )
+    middle, _, _, path = propagate(x, samples, 0.4, 0.5, Settings())
+
+    def predicted(dx):
+        """Return what the radar measures at an error state: motion goes on by its delay."""
+        after, rate = middle.plus(dx), path.rate_b[-1] - dx[9:12]
+        there = Path(path.stamp, path.C_wb, path.pos_w, path.vel_w, path.rate_b, path.accel_w, 0, 0)
+        there.rate_b[-1], kept = rate, path.rate_b[-1].copy()
+        z = radar.observe(after, np.zeros(3), np.eye(3), there).z
+        there.rate_b[-1] = kept
+        return -z
+
+    H = radar.observe(middle, rng.normal(size=3), np.eye(3), path).H
+    for column in range(N):
+        if column == DELAY or column in range(*EXCESS.indices(N)):
+            continue
+        step = np.zeros(N)
+        step[column] = 1e-6
+        slope = (predicted(step) - predicted(-step)) / 2e-6
+        np.testing.assert_allclose(H[:, column], slope, atol=1e-7)
+    later = [propagate(x, samples, 0.4, 0.5 + d, Settings())[0] for d in (1e-5, -1e-5)]
+    ahead, back = (-radar.observe(one, np.zeros(3), np.eye(3), path).z for one in later)
+    # The acceleration is that of the middle of the last step, 1 ms before
+    np.testing.assert_allclose(H[:, DELAY], (ahead - back) / 2e-5, atol=0.01)
+
+
+@pytest.mark.parametrize("world", ["room", pytest.param("forest", marks=pytest.mark.campaign)])
+def test_the_way_is_true_within_its_covariance(tmp_path, world):
+    nees, ends = [], []
+    for seed in range(1, 5):
+        flown = simulate_radar(world, seed, duration=30.0)
+        solution = solve(read(written(tmp_path / str(seed), flown)), Settings())
+        error, P = errors_of(flown, solution)
+        nees += [e @ np.linalg.solve(p, e) / 3.0 for e, p in zip(error[60:], P[60:], strict=True)]
+        ends.append(np.linalg.norm(error[-1]) / solution.way)
+        assert solution.verdict().startswith("good")
+    assert max(ends) < 0.02
+    assert 0.1 < np.mean(nees) < 1.5
+
+
+@pytest.mark.skipif(not (DATA / "radar-inertial-walk").is_dir(), reason="no recorded radar")
+@pytest.mark.parametrize(
+    "mounting", [None, "0.03,0.03,-0.06,-179.6,9.1,-45.7"], ids=["found", "as published"]
+)
+def test_a_recorded_walk_returns_to_its_begin(tmp_path, mounting):
+    out = tmp_path / "walk.csv"
+    given = [] if mounting is None else ["--lidar-pose", mounting]
+    bag = str(DATA / "radar-inertial-walk" / "demo.bag")
+    done = CliRunner().invoke(app, ["lidar", bag, "-o", str(out), *given])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith("good: 24 m")
+    assert "radar_right/trigger with the same number" in done.output
+    rows = np.genfromtxt(out, delimiter=",", skip_header=1)
+    place, sigma = rows[:, 1:4], rows[-1, 11:14]
+    way = np.linalg.norm(np.diff(place, axis=0), axis=1).sum()
+    away = place[-1] - place[0]
+    assert np.linalg.norm(away) < 0.02 * way
+    assert (np.abs(away) < 3.0 * sigma).all()
+
+
+def reversed_speeds(lidar, imu):
+    lidar["doppler"] = -lidar["doppler"]
+
+
+def in_kmh(lidar, imu):
+    lidar["doppler"] = lidar["doppler"] * np.float32(3.6)
+
+
+def exchanged(lidar, imu):
+    lidar["xyz"] = lidar["xyz"][:, [1, 0, 2]] * np.array([1, -1, 1], np.int16)
+
+
+def mirrored(lidar, imu):
+    lidar["xyz"] = lidar["xyz"] * np.array([1, -1, 1], np.int16)
+
+
+def upside_down(lidar, imu):
+    lidar["xyz"] = lidar["xyz"] * np.array([1, -1, -1], np.int16)
+
+
+def stamps_of_arrival(lidar, imu):
+    lidar["stamp"] = lidar["stamp"] + 0.15
+
+
+def doubled(lidar, imu):
+    lidar["stamp"][31::20] = lidar["stamp"][30:-1:20][: len(lidar["stamp"][31::20])]
+
+
+def last_first(lidar, imu):
+    parts = [np.arange(a, b) for a, b in zip(lidar["first"], lidar["first"][1:], strict=False)]
+    order = np.concatenate(parts[::-1])
+    for name in ("xyz", "dt", "ring", "doppler"):
+        lidar[name] = lidar[name][order]
+    lidar["stamp"] = lidar["stamp"][::-1]
+    lidar["first"] = np.concatenate(([0], np.cumsum([len(part) for part in parts[::-1]])))
+
+
+def not_finite(lidar, imu):
+    lidar["doppler"][::7] = np.nan
+
+
+def empty(lidar, imu):
+    a, b = lidar["first"][100], lidar["first"][110]
+    lidar["first"][101:110] = a
+    lidar["first"][110:] -= b - a
+    for name in ("xyz", "dt", "ring", "doppler"):
+        lidar[name] = np.delete(lidar[name], np.s_[a:b], 0)
+
+
+def in_g(lidar, imu):
+    imu["accel"] = imu["accel"] / np.float32(9.80665)
+
+
+def truck(lidar, imu):
+    """For two seconds most points are of a thing that comes nearer at 3 m/s."""
+    a, b = lidar["first"][150], lidar["first"][170]
+    ahead = lidar["xyz"][a:b, 0] > np.abs(lidar["xyz"][a:b, 1])
+    lidar["doppler"][a:b][ahead] -= 3.0
+
+
+MENDED = [
+    (reversed_speeds, "positive towards the sensor"),
+    (in_kmh, "km/h"),
+    (stamps_of_arrival, "late by the motion"),
+    (doubled, "repeat the stamp"),
+    (last_first, "last first"),
+    (not_finite, ""),
+    (empty, "10 scans are empty"),
+    (in_g, "specific force is in g"),
+    (truck, ""),
+]
+
+
+@pytest.mark.parametrize(("edit", "word"), MENDED, ids=lambda one: getattr(one, "__name__", ""))
+def test_what_is_damaged_is_mended_and_named(tmp_path, edit, word):
+    flown = walk()
+    solution = solve(read(written(tmp_path / "r", flown, edit)), Settings())
+    assert any(word in one for one in solution.remarks()), solution.remarks()
+    shift = 0.15 if edit is stamps_of_arrival else 0.0
+    t = solution.track.stamp - shift + FRAME
+    # The stamps of arrival were put right, to 40 ms at least
+    place = flown.motion.position(t if edit is not stamps_of_arrival else solution.track.stamp)
+    error = np.linalg.norm(solution.track.pos_w[-1]) - np.linalg.norm(place[-1] - place[0])
+    assert abs(error) < 0.02 * solution.way
+
+
+@pytest.mark.parametrize("edit", [exchanged, mirrored, upside_down])
+def test_axes_that_do_not_belong_together_are_named_with_those_that_do(tmp_path, edit):
+    path = written(tmp_path / "r", walk(), edit)
+    done = CliRunner().invoke(app, ["lidar", str(path), "-o", str(tmp_path / "o.tum")])
+    assert done.exit_code == 3
+    assert "do not belong together" in done.output
+    assert "Traceback" not in done.output
+    # Without a mounting there is nothing to contradict: it is found
+    found = read(written(tmp_path / "s", walk(), edit, has_mounting=False))
+    if edit is exchanged:
+        turn = found.mounting.rotation @ exp(np.array([0.0, 0.0, -0.5 * np.pi]))
+        assert np.degrees(np.arccos((np.trace(turn) - 1.0) / 2.0)) < 8.0
+    elif edit is mirrored:
+        assert any("mirrored" in one for one in found.decisions)
+    solution = solve(found, Settings())
+    error, _ = errors_of(walk(), solution)
+    assert np.linalg.norm(error[-1]) < 0.02 * solution.way
+
+
+def test_speeds_that_wrap_go_on_where_it_is_said(tmp_path):
+    flown = walk(most_speed=0.55, step=0.1)
+    assert np.abs(flown.doppler).max() < 0.61
+    path = written(tmp_path / "r", flown)
+    settings = Settings(most_doppler=0.55)
+    error, _ = errors_of(flown, held := solve(read(path, most_speed=0.55), settings))
+    assert np.linalg.norm(error[-1]) < 0.02 * held.way
+    lost = solve(read(path), Settings())
+    assert any("wrap" in one for one in lost.remarks()) or not lost.verdict().startswith("good")
+
+
+@pytest.mark.parametrize(
+    ("edit", "word"),
+    [
+        (lambda lidar, imu: lidar.update(doppler=np.full_like(lidar["doppler"], np.nan)), "empty"),
+        (lambda lidar, imu: lidar.pop("doppler") is None, "no radial speeds"),
+        (
+            lambda lidar, imu: lidar.update(
+                doppler=np.random.default_rng(1).uniform(-9, 9, len(lidar["doppler"]))
+            ),
+            "show a velocity",
+        ),
+    ],
+    ids=["not finite", "none", "noise"],
+)
+def test_a_recording_that_shows_nothing_is_refused(tmp_path, edit, word):
+    path = written(tmp_path / "r", walk(), edit)
+    done = CliRunner().invoke(app, ["lidar", str(path), "--filter", "doppler"])
+    assert done.exit_code == 3, done.output
+    assert word in done.output
+    assert "Traceback" not in done.output
+
+
+def test_a_vehicle_that_does_not_move_shows_no_mounting(tmp_path):
+    flown = simulate_radar("room", 1, duration=3.0)
+    found = read(written(tmp_path / "r", flown, has_mounting=False))
+    np.testing.assert_array_equal(found.mounting.rotation, np.eye(3))
+    assert any("nor does the motion show it" in one for one in found.decisions)
+    assert solve(found, Settings()).verdict().startswith("good")
+
+
+def test_all_forms_give_the_same_velocities(tmp_path):
+    flown = simulate_radar("room", 5, duration=8.0)
+    write_sequence(tmp_path / "one", flown)
+    for name in ("two.bag", "three.mcap"):
+        write_bag(tmp_path / name, flown)
+    ways = []
+    for name in ("one", "two.bag", "three.mcap"):
+        found = read(tmp_path / name)
+        assert found.by_doppler
+        ways.append(np.array([one.vel for one in velocities(found.scans, Settings())]))
+    for other in ways[1:]:
+        np.testing.assert_allclose(other, ways[0], atol=1e-5)  # points are float32
+
+
+def test_the_command_writes_velocities_and_refuses_a_map(tmp_path):
+    path = written(tmp_path / "r", walk())
+    out = tmp_path / "velocity.csv"
+    done = CliRunner().invoke(app, ["lidar", str(path), "--velocity", str(out)])
+    assert done.exit_code == 0, done.output
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    assert len(rows) == len(walk().stamp)
+    true = true_velocity(walk(), rows["t_s"] + FRAME)
+    error = np.stack([rows[f"v{axis}_m_s"] for axis in "xyz"], axis=1) - true
+    assert np.sqrt(np.mean(error**2)) < 0.06
+    for option in ("--map", "--stamp"):
+        value = str(tmp_path / "map.ply") if option == "--map" else "end"
+        refused = CliRunner().invoke(app, ["lidar", str(path), option, value])
+        assert refused.exit_code == 2
+    other = tmp_path / "lidar"
+    write_sequence(other, small(4.0))
+    refused = CliRunner().invoke(app, ["lidar", str(other), "--velocity", str(out)])
+    assert refused.exit_code == 2
+
+
+def test_a_mounting_and_its_lever_arm_are_used(tmp_path):
+    tilted = usual_lidar("plain", RAYS)
+    flown = simulate_radar("room", 6, duration=WALK, radar=tilted)
+    path = written(tmp_path / "r", flown, has_mounting=False)
+    mounting = Mounting(tilted.rotation, tilted.position)
+    error, _ = errors_of(flown, one := solve(read(path, mounting=mounting), Settings()))
+    assert np.linalg.norm(error[-1]) < 0.02 * one.way
