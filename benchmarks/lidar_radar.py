@@ -107,7 +107,7 @@ def rows(folder: Path) -> Iterator[str]:
             of_position.append(float(nees[60:].mean()))
             for one in velocities(recording.scans, Settings()):
                 vel = true_velocity(flown, one.stamp)
-                if one.vel is None or one.information is None or np.linalg.norm(vel) < MOVING:
+                if not one.used or np.linalg.norm(vel) < MOVING:
                     continue
                 miss = one.vel - vel
                 of_scans.append(float(miss @ one.information @ miss) / 3.0)

@@ -12,7 +12,7 @@ then least squares); Doer and Trommer 2020, "An EKF based approach to radar iner
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -44,10 +44,10 @@ class EgoVelocity:
     points: int
     """Within range."""
     used: int = 0
-    """That agree; 0: too few do, and there is no velocity."""
-    vel: Array | None = None
+    """That agree; 0: too few do, and no velocity is shown."""
+    vel: Array = field(default_factory=lambda: np.zeros(3))
     """m/s, shape (3,)."""
-    information: Array | None = None
+    information: Array = field(default_factory=lambda: np.zeros((3, 3)))
     """Inverse of its covariance, s^2/m^2, shape (3, 3)."""
     rms: float = float("nan")
     """Of what is left of the speeds, in their sigmas."""
@@ -56,6 +56,8 @@ class EgoVelocity:
 def velocities(scans: Iterable[Scan], settings: Settings) -> Iterator[EgoVelocity]:
     """Yield the velocity of each scan; radial speeds that wrap go on from the scan before.
 
+    One in motion that is the same to the bit as that before shows none: the radar is frozen.
+
     Args:
         scans: In the order of their stamps; gone through twice.
         settings: Ranges, noise, and at which speed the radial speeds wrap.
@@ -63,7 +65,9 @@ def velocities(scans: Iterable[Scan], settings: Settings) -> Iterator[EgoVelocit
     step, before = find_step(scans), np.zeros(3)
     for scan in scans:
         found = ego_velocity(scan, settings, step, before)
-        before = before if found.vel is None else found.vel
+        if found.vel.any() and (found.vel == before).all():
+            found = EgoVelocity(scan.stamp, found.points)
+        before = found.vel if found.used else before
         yield found
 
 
@@ -140,10 +144,10 @@ def lines_of(found: Iterable[EgoVelocity]) -> Iterator[str]:
     yield "t_s,vx_m_s,vy_m_s,vz_m_s,P_xx,P_xy,P_xz,P_yy,P_yz,P_zz,points,used,rms"
     for one in found:
         numbers = [""] * 9
-        if one.vel is not None and one.information is not None:
+        if one.used:
             P = np.linalg.pinv(one.information)
             numbers = [f"{value:.6g}" for value in (*one.vel, *P[np.triu_indices(3)])]
-        rms = "" if one.vel is None else f"{one.rms:.3g}"
+        rms = f"{one.rms:.3g}" if one.used else ""
         yield ",".join([f"{one.stamp:.6f}", *numbers, str(one.points), str(one.used), rms])
 
 

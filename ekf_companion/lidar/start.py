@@ -62,6 +62,8 @@ STILL_RATE, STILL_FORCE = 0.01, 0.1
 REST_RATE, REST_SPEED = 3e-3, 0.05
 """Sigma of both at rest, rad/s and m/s: a vehicle rocks, or has begun to turn. What the samples
 show from one part to the next is no bound: a steady turn changes nothing."""
+STILL = 3.0 * 9.0
+"""Largest square of a velocity that is none, in its sigmas: three on each axis."""
 TAIL = 2.0
 """Sigmas at which a row has half its weight."""
 
@@ -138,7 +140,7 @@ def rest(begin: float, end: float, samples: Samples) -> tuple[Array, float] | No
 
 def is_still(vel: Array, P: Array) -> bool:
     """Return whether a velocity is none within three sigma."""
-    return float(vel @ np.linalg.solve(P, vel)) < 3.0 * 9.0
+    return float(vel @ np.linalg.solve(P, vel)) < STILL
 
 
 def variances(settings: Settings) -> Array:

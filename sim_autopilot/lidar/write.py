@@ -24,6 +24,7 @@ def write_sequence(folder: Path, flown: Simulated) -> None:
         OSError: The folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    speeds: dict[str, Any] = {} if flown.doppler is None else {"doppler": flown.doppler}
     np.savez_compressed(
         folder / "lidar.npz",
         stamp=flown.stamp,
@@ -33,7 +34,7 @@ def write_sequence(folder: Path, flown: Simulated) -> None:
         ring=flown.ring,
         unit=np.float64(UNIT),
         tick=np.float64(TICK),
-        **({} if flown.doppler is None else {"doppler": flown.doppler}),
+        **speeds,
     )
     np.savez_compressed(
         folder / "imu.npz", stamp=flown.imu_stamp, gyro=flown.gyro, accel=flown.accel

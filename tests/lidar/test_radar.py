@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.lidar_aid import CONFIG, Flight
 from ekf_companion.cli import app
 from ekf_companion.lidar import radar
 from ekf_companion.lidar.doppler import find_step, velocities
-from ekf_companion.lidar.motion import Path, prepare, propagate
+from ekf_companion.lidar.motion import prepare, propagate
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.solution import solve
-from ekf_companion.lidar.state import DELAY, EXCESS, N, State, exp
+from ekf_companion.lidar.solution import lines_of, solve
+from ekf_companion.lidar.state import DELAY, EXCESS, GYRO_BIAS, N, State, exp
+from ekf_companion.replay.pose_aid import PoseFile
+from ekf_companion.review.convert import estimate
 from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
 from sim_autopilot.lidar.record import Simulated, usual_lidar
 from sim_autopilot.lidar.write import write_bag, write_sequence
@@ -83,7 +87,7 @@ def test_the_velocity_of_a_scan_is_true_within_its_covariance(world):
     nees, errors = [], []
     for seed in (1, 2):
         flown = simulate_radar(world, seed, duration=14.0)
-        found = [one for one in velocities(scans_of(flown), Settings()) if one.vel is not None]
+        found = [one for one in velocities(scans_of(flown), Settings()) if one.used]
         assert len(found) > 0.98 * len(flown.stamp)
         true = true_velocity(flown, [one.stamp + FRAME for one in found])
         for one, vel in zip(found, true, strict=True):
@@ -126,12 +130,11 @@ def test_a_scan_with_few_points_shows_no_velocity():
     line = Scan(scan.stamp, along, np.zeros(30), None, np.full(30, -0.5))
     for one in (few, none, line):
         (found,) = velocities([one], Settings())
-        assert found.vel is None
         assert found.used == 0
+        assert not found.information.any()
 
 
 def test_the_jacobian_of_the_velocity_is_its_difference():
-    rng = np.random.default_rng(1)
     stamp = np.arange(0.0, 1.0, 0.002)
     gyro, accel = np.tile([0.4, -0.3, 0.8], (500, 1)), np.tile([0.5, 1.0, 9.6], (500, 1))
     samples = prepare(InertialSamples(stamp, gyro, accel))
@@ -145,15 +148,11 @@ def test_the_jacobian_of_the_velocity_is_its_difference():
     middle, _, _, path = propagate(x, samples, 0.4, 0.5, Settings())
 
     def predicted(dx):
-        """Return what the radar measures at an error state: motion goes on by its delay."""
-        after, rate = middle.plus(dx), path.rate_b[-1] - dx[9:12]
-        there = Path(path.stamp, path.C_wb, path.pos_w, path.vel_w, path.rate_b, path.accel_w, 0, 0)
-        there.rate_b[-1], kept = rate, path.rate_b[-1].copy()
-        z = radar.observe(after, np.zeros(3), np.eye(3), there).z
-        there.rate_b[-1] = kept
-        return -z
+        """Return what the radar measures at an error state."""
+        there = replace(path, rate_b=path.rate_b - dx[GYRO_BIAS])
+        return -radar.observe(middle.plus(dx), np.zeros(3), np.eye(3), there).z
 
-    H = radar.observe(middle, rng.normal(size=3), np.eye(3), path).H
+    H = radar.observe(middle, np.zeros(3), np.eye(3), path).H
     for column in range(N):
         if column == DELAY or column in range(*EXCESS.indices(N)):
             continue
@@ -230,12 +229,16 @@ def doubled(lidar, imu):
 
 
 def last_first(lidar, imu):
-    parts = [np.arange(a, b) for a, b in zip(lidar["first"], lidar["first"][1:], strict=False)]
-    order = np.concatenate(parts[::-1])
-    for name in ("xyz", "dt", "ring", "doppler"):
-        lidar[name] = lidar[name][order]
+    rearrange(lidar, np.arange(len(lidar["stamp"]))[::-1])
     lidar["stamp"] = lidar["stamp"][::-1]
-    lidar["first"] = np.concatenate(([0], np.cumsum([len(part) for part in parts[::-1]])))
+
+
+def rearrange(lidar, order):
+    """Put the points of other scans into each."""
+    parts = [np.arange(lidar["first"][k], lidar["first"][k + 1]) for k in order]
+    for name in ("xyz", "dt", "ring", "doppler"):
+        lidar[name] = lidar[name][np.concatenate(parts)]
+    lidar["first"] = np.concatenate(([0], np.cumsum([len(part) for part in parts])))
 
 
 def not_finite(lidar, imu):
@@ -261,6 +264,13 @@ def truck(lidar, imu):
     lidar["doppler"][a:b][ahead] -= 3.0
 
 
+def frozen(lidar, imu):
+    """For three seconds the radar repeats a scan."""
+    order = np.arange(len(lidar["stamp"]))
+    order[150:180] = 150
+    rearrange(lidar, order)
+
+
 MENDED = [
     (reversed_speeds, "positive towards the sensor"),
     (in_kmh, "km/h"),
@@ -270,7 +280,8 @@ MENDED = [
     (not_finite, ""),
     (empty, "10 scans are empty"),
     (in_g, "specific force is in g"),
-    (truck, ""),
+    (truck, "contradict the inertial samples"),
+    (frozen, "29 scans show no velocity"),
 ]
 
 
@@ -400,3 +411,30 @@ def test_a_mounting_and_its_lever_arm_are_used(tmp_path):
     mounting = Mounting(tilted.rotation, tilted.position)
     error, _ = errors_of(flown, one := solve(read(path, mounting=mounting), Settings()))
     assert np.linalg.norm(error[-1]) < 0.02 * one.way
+
+
+def test_a_flight_whose_fixes_end_for_half_a_minute_is_held_by_the_radar(tmp_path):
+    flown = simulate_radar("forest", 9, duration=42.0)
+    solution = solve(read(written(tmp_path / "forest", flown)), Settings())
+    pose, log, cut = tmp_path / "pose.csv", tmp_path / "log.csv", (9.0, 39.0)
+    pose.write_text("\n".join(lines_of(solution, ".csv")) + "\n")
+    flight = Flight.of(tmp_path / "forest")
+    flight.write(log, 1, cut)
+    away = {}
+    for name, aid in (("radar", PoseFile(pose)), ("none", None)):
+        t, error, sigma = flight.errors(estimate(log, CONFIG, None, aid)[0])
+        inside = (t >= cut[0]) & (t < cut[1])
+        away[name] = np.linalg.norm(error[inside] - error[inside][0], axis=1).max()
+        assert np.abs(error[inside] / sigma[inside]).max() < 3.0
+    assert away["radar"] < 1.5  # 2 % of 90 m
+    assert away["none"] > 10.0
+
+
+def test_the_report_and_the_mcap_of_a_radar_are_written(tmp_path):
+    path = written(tmp_path / "r", walk())
+    outs = [tmp_path / "way.html", tmp_path / "way.mcap"]
+    done = CliRunner().invoke(
+        app, ["lidar", str(path), "--report", str(outs[0]), "-o", str(outs[1])]
+    )
+    assert done.exit_code == 0, done.output
+    assert all(one.stat().st_size > 10_000 for one in outs)

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from sim_autopilot.__main__ import app
 from sim_autopilot.lidar.motion import GRAVITY
-from sim_autopilot.lidar.record import TICK, UNIT, ImuErrors, simulate
+from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
+from sim_autopilot.lidar.record import TICK, UNIT, ImuErrors, simulate, usual_lidar
 from sim_autopilot.lidar.worlds import WORLDS
 from sim_autopilot.lidar.write import write_sequence
 
@@ -96,6 +99,9 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path):
         one = (tmp_path / "a" / file).read_bytes()
         assert one == (tmp_path / "b" / file).read_bytes()
         assert (one == (tmp_path / "c" / file).read_bytes()) == (file == "calib.json")
+    one, same, other = (simulate_radar("room", seed, duration=3.0) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.doppler, same.doppler)
+    assert len(one.doppler) != len(other.doppler) or (one.doppler != other.doppler).any()
 
 
 def test_the_noise_and_the_biases_are_those_of_the_sensor():
@@ -104,6 +110,25 @@ def test_the_noise_and_the_biases_are_those_of_the_sensor():
     density = error.std() / np.sqrt(noisy.errors.rate)
     assert density == pytest.approx(noisy.errors.gyro_noise, rel=0.05)
     assert 0.0005 < np.abs(noisy.gyro_bias).max() < 0.02
+
+
+def test_the_speeds_of_a_radar_are_those_of_what_stands_still_and_of_cars():
+    exact = replace(RAYS, range_sigma=0.0, angle_sigma=0.0, missing=0.0)
+    errors = RadarErrors(shared_angle=0.0, speed_sigma=0.0, step=0.0, ghosts=0.0)
+    flown = simulate_radar(
+        "street", 1, duration=8.0, errors=errors, radar=usual_lidar("street", exact)
+    )
+    t = np.repeat(flown.stamp, np.diff(flown.first)) + 0.5 * errors.frame
+    direction = flown.xyz / np.linalg.norm(flown.xyz, axis=1)[:, None]
+    motion, mount = flown.motion, flown.lidar
+    body = np.einsum("nji,nj->ni", motion.rotation(t), motion.velocity(t))
+    vel = (body + np.cross(motion.gyro(t), mount.position)) @ mount.rotation
+    error = flown.doppler + (direction * vel).sum(axis=1)
+    still = flown.label == 0
+    assert np.abs(error[still]).max() < 0.02  # points have steps of 3 mm
+    assert np.abs(error[flown.label == 1]).max() > 1.0
+    wraps = simulate_radar("street", 1, duration=8.0, errors=RadarErrors(most_speed=2.0))
+    assert np.abs(wraps.doppler).max() <= 2.0 + 0.0625
 
 
 def test_cars_move_in_the_street():
@@ -116,5 +141,8 @@ def test_the_command_writes_a_recording_and_refuses_another_world(tmp_path):
     done = run(app, ["lidar", str(tmp_path / "r"), "--world", "plain", "--duration", "2"])
     assert done.exit_code == 0
     assert (tmp_path / "r/lidar.npz").is_file()
+    beams = ["--beams", "radar", "--duration", "3"]
+    assert run(app, ["lidar", str(tmp_path / "radar"), *beams]).exit_code == 0
+    assert "doppler" in np.load(tmp_path / "radar/lidar.npz")
     refused = run(app, ["lidar", str(tmp_path / "s"), "--world", "sea"])
     assert refused.exit_code == 2

@@ -118,7 +118,7 @@ def _stamps_of(
             head = reader.deserialize(raw, connection.msgtype)
             triggers[getattr(head, "seq", None)] = _ns(head.stamp)
         if number is not None and number in triggers:
-            return lambda one, known=triggers: known.get(one.number), [  # type: ignore[misc]
+            return lambda one, known=triggers: known.get(one.number), [
                 f"scans have no stamps: those of {topic} with the same number are taken"
             ]
     shift = 0

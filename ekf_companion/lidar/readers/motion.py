@@ -94,7 +94,7 @@ def compare_motion(
         tried["shift"] = [Hypothesis(shift=step * timing.period) for step in steps]
     tried["reverse"] = [Hypothesis(reverse=True)]
     tried["scale"] = [Hypothesis(scale=np.pi / 180), Hypothesis(scale=180 / np.pi)]
-    tried["axes"] = [Hypothesis(axes=axes) for axes in _every_axes()]
+    tried["axes"] = [Hypothesis(axes=axes) for axes in every_axes()[1:]]
     best, kind, misfit = plain, "", base
     for name, hypotheses in tried.items():
         for hypothesis in hypotheses:
@@ -186,14 +186,13 @@ def _is_better(one: Array, other: Array, least: float = BELIEVED) -> bool:
     return bool(gain.mean() > least * error and gain.mean() > 0)
 
 
-def _every_axes() -> list[tuple[tuple[int, int], ...]]:
-    """Return every exchange of axes and signs but the plain one, mirrored ones too."""
-    every = [
+def every_axes() -> list[tuple[tuple[int, int], ...]]:
+    """Return every exchange of axes and signs, mirrored ones too; the plain one is the first."""
+    return [
         tuple(zip(axes, signs, strict=True))
         for axes in permutations(range(3))
         for signs in product((1, -1), repeat=3)
     ]
-    return every[1:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,7 +258,7 @@ class _Pairs:
         reach = abs(hypothesis.shift) + 2.5 * self.period
         middle = np.abs(self.stamp[:first] - 0.5 * self.period).min(axis=0) < reach
         stamp, gyro = self.stamp[:first, middle], self.gyro[:first, middle]
-        attitude = _attitudes(stamp, hypothesis.gyro(gyro))
+        attitude = attitudes(stamp, hypothesis.gyro(gyro))
         result = []
         for pair, (one, two) in enumerate(scans):
             placed = []
@@ -307,7 +306,7 @@ def _thin(scan: Scan, most: int, rng: np.random.Generator) -> Scan:
     return Scan(scan.stamp, scan.points[keep], scan.times[keep])
 
 
-def _attitudes(stamp: Array, gyro: Array) -> Array:
+def attitudes(stamp: Array, gyro: Array) -> Array:
     """Return quaternions (w, x, y, z) of the body at each stamp, from the first one on."""
     half = 0.25 * (gyro[:, 1:] + gyro[:, :-1]) * np.diff(stamp)[..., None]
     angle = np.linalg.norm(half, axis=-1, keepdims=True)
