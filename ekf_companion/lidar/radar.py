@@ -254,7 +254,11 @@ def _match(one: EgoVelocity, x: State) -> Match:
 
 def solve(recording: Recording, settings: Settings) -> tuple[Track, State, tuple[str, ...]]:
     """Return the estimates of a recording, the last state, and what was found on the way."""
-    found = list(velocities(recording.scans, settings))
+    noise = recording.doppler_noise
+    found = [
+        replace(one, information=one.information / noise)
+        for one in velocities(recording.scans, settings)
+    ]
     odometry = RadarOdometry(recording.inertial, recording.mounting, settings)
     track = Track()
     for one in odometry.run(found):

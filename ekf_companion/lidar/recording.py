@@ -65,3 +65,5 @@ class Recording:
     """What the reader decided about stamps, units and axes, one sentence each."""
     by_doppler: bool = False
     """Whether the way is found by the radial speeds of its points: a radar."""
+    doppler_noise: float = 1.0
+    """Variance of velocities by radial speeds, as a multiple of what the points of a scan say."""

@@ -52,6 +52,8 @@ APART = float(np.radians(30.0))
 SIGMAS = 5.0
 """By which a mounting that is known, signs as usual, or a delay of none must miss to be wrong: of
 50 that are tried one misses by 4 where the noise is not white."""
+TWICE = 4.0
+"""Variance, as a multiple of what the points of scans say, from which a sentence says so."""
 UNIT_SIGMA = 0.2
 """Relative sigma of the unit up to which it counts as shown: its sign then is."""
 LEAST_UNIT = 1e-2
@@ -96,15 +98,32 @@ class Fit:
         """Return the angle to another rotation, rad."""
         return float(np.linalg.norm(so3.log(so3.from_matrix(rotation.T @ self.rotation))))
 
+    @property
+    def noise(self) -> float:
+        """Return the variance of velocities as a multiple of what their points say, 1 at least."""
+        return max(1.0, self.cost / self.freedom)
+
     def is_better(self, other: Fit) -> bool:
         """Return whether less is left by more than chance."""
-        return other.cost - self.cost > SIGMAS**2 * max(1.0, self.cost / self.freedom)
+        return other.cost - self.cost > SIGMAS**2 * self.noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """What radar and inertial samples show together."""
+
+    timing: Timing
+    """With the unit and sign of the speeds, and what the stamps are late."""
+    mounting: Mounting
+    noise: float
+    """Variance of the velocities of scans, as a multiple of what their points say, 1 at least."""
+    sentences: tuple[str, ...]
 
 
 def compare_doppler(
     scans: Scans, inertial: InertialSamples, mounting: Mounting | None, most_speed: float
-) -> tuple[Timing, Mounting, list[str]]:
-    """Return timing and mounting by which radar and inertial samples agree, and sentences on them.
+) -> Agreement:
+    """Return how a radar is meant by its motion.
 
     Args:
         scans: The scans, with the timing that their values show.
@@ -124,30 +143,27 @@ def compare_doppler(
             "is it the right topic, and is what stands still not filtered out by the radar?"
         )
     fit = find(found, inertial, mounting)
+    noise = 1.0 if fit is None else fit.noise
     if fit is None or not fit.is_seen or (mounting is None and fit.sigma > SHOWN):
-        if mounting is not None:
-            return timing, mounting, ["the motion does not show whether radar and samples agree"]
-        return (
-            timing,
-            Mounting(),
-            [
+        said = "the motion does not show whether radar and samples agree"
+        if mounting is None:
+            said = (
                 "the recording does not say how the radar is mounted, nor does the motion show it: "
                 "taken for axes alike; give the mounting"
-            ],
-        )
-    sentences = [
-        f"radar and inertial samples agree: {100 * (1 - fit.left):.0f} % of the changes of "
-        "velocity are the same"
-    ]
-    timing, words = _units(timing, fit, is_known=mounting is not None)
-    sentences += words
-    # What is less the filter finds
-    if abs(fit.delay) > max(2.0 * LATE, SIGMAS * fit.delay_sigma):
-        late = "late" if fit.delay < 0 else "early"
-        timing = replace(timing, shift=timing.shift + fit.delay)
+            )
+        return Agreement(timing, mounting or Mounting(), noise, (said,))
+    unit = nearest(1.0, 1.0 / abs(fit.unit), SPEED)
+    if unit != 1.0:
+        # Noise is in m/s: once more
+        scans = replace(scans, timing=replace(timing, speed_unit=unit))
+        again = compare_doppler(scans, inertial, mounting, unit * most_speed)
+        said = f"radial speeds are in {SPEED[unit]}, not m/s"
+        return replace(again, sentences=(said, *again.sentences))
+    timing, sentences = _signs(timing, fit, is_known=mounting is not None)
+    if noise > TWICE:
         sentences.append(
-            f"stamps of scans are {1e3 * abs(fit.delay):.0f} ms {late} by the motion, sigma "
-            f"{1e3 * fit.delay_sigma:.0f} ms: corrected"
+            f"velocities of scans are {np.sqrt(noise):.1f} times as noisy as their points say: "
+            "taken so"
         )
     if mounting is None:
         mounting = Mounting(fit.rotation, np.zeros(3), fit.sigma, POSITION_SIGMA)
@@ -162,18 +178,28 @@ def compare_doppler(
             f"the radar is mounted at {_angles(fit)}, {np.degrees(angle):.0f} deg from where it is "
             f"said to be{_mirrored(fit)}; correct the axes (forward, left, up), or the mounting"
         )
-    return timing, mounting, sentences
+    return Agreement(timing, mounting, noise, tuple(sentences))
 
 
-def _units(timing: Timing, fit: Fit, *, is_known: bool) -> tuple[Timing, list[str]]:
-    """Return the timing with the unit and sign of the speeds, and sentences on them."""
-    unit, said = nearest(1.0, 1.0 / abs(fit.unit), SPEED), list[str]()
-    if unit != 1.0:
-        said.append(f"radial speeds are in {SPEED[unit]}, not m/s")
+def _signs(timing: Timing, fit: Fit, *, is_known: bool) -> tuple[Timing, list[str]]:
+    """Return the timing with the sign of the speeds and late stamps, and sentences on them."""
+    said = [
+        f"radar and inertial samples agree: {100 * (1 - fit.left):.0f} % of the changes of "
+        "velocity are the same"
+    ]
     if fit.unit < 0:
         mirrored = "" if is_known else ", or an axis of the radar is mirrored, which is the same"
         said.append(f"radial speeds are positive towards the sensor{mirrored}: turned round")
-    return replace(timing, speed_unit=np.sign(fit.unit) * unit), said
+        timing = replace(timing, speed_unit=-timing.speed_unit)
+    # What is less the filter finds
+    if abs(fit.delay) > 2.0 * LATE:
+        late = "late" if fit.delay < 0 else "early"
+        timing = replace(timing, shift=timing.shift + fit.delay)
+        said.append(
+            f"stamps of scans are {1e3 * abs(fit.delay):.0f} ms {late} by the motion, sigma "
+            f"{1e3 * fit.delay_sigma:.0f} ms: corrected"
+        )
+    return timing, said
 
 
 def _mirrored(fit: Fit) -> str:
@@ -220,9 +246,11 @@ def find(
     delay, sigma = float(LATENESS[best]), np.inf
     if bend > 0:
         delay += 0.5 * step * float(np.clip((before - after) / bend, -1.0, 1.0))
-    fit = fit_at(delay)
+    fit, plain = fit_at(delay), fit_at(0.0)
+    if fit is None or (plain is not None and not fit.is_better(plain)):
+        fit = plain
     if fit is not None and bend > 0:
-        sigma = step * np.sqrt(2.0 * max(1.0, fit.cost / fit.freedom) / bend)
+        sigma = step * np.sqrt(2.0 * fit.noise / bend)
     return None if fit is None else replace(fit, delay_sigma=float(sigma))
 
 

@@ -50,21 +50,22 @@ def judge(
     known = mounting or source.mounting
     if by_doppler:
         scans = Scans(source, timing, order)
-        timing, chosen, about_motion = compare_doppler(scans, inertial, known, most_speed)
+        shown = compare_doppler(scans, inertial, known, most_speed)
         return Recording(
             name=source.name,
-            scans=replace(scans, timing=timing),
+            scans=replace(scans, timing=shown.timing),
             inertial=inertial,
-            mounting=chosen,
+            mounting=shown.mounting,
             decisions=(
                 *source.notes,
                 *source.faults,
                 *about_times,
                 *about_inertial,
                 *about_clocks,
-                *about_motion,
+                *shown.sentences,
             ),
             by_doppler=True,
+            doppler_noise=shown.noise,
         )
     about_mounting = (
         []
