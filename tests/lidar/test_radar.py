@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from benchmarks.lidar_aid import CONFIG, Flight
 from ekf_companion.cli import app
 from ekf_companion.lidar import radar
-from ekf_companion.lidar.doppler import find_step, velocities
+from ekf_companion.lidar.doppler import ego_velocity, find_step, velocities
 from ekf_companion.lidar.motion import prepare, propagate
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
@@ -24,7 +24,7 @@ from ekf_companion.review.convert import estimate
 from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
 from sim_autopilot.lidar.record import Simulated, usual_lidar
 from sim_autopilot.lidar.write import write_bag, write_sequence
-from tests.lidar.recordings import arrays, small
+from tests.lidar.recordings import arrays, small, write_folder, write_pcd
 from tests.paths import DATA
 
 WALK = 26.0
@@ -120,6 +120,22 @@ def test_the_step_of_the_speeds_is_found():
     assert find_step(scans_of(walk())) == pytest.approx(0.125, rel=1e-5)
     assert find_step(scans_of(walk(step=0.0))) == 0.0
     assert find_step([]) == 0.0
+
+
+def test_what_is_slower_than_a_step_is_covered_by_the_covariance():
+    rng = np.random.default_rng(2)
+    settings, step, nees = Settings(doppler_scan=0.0), 0.125, []
+    for _ in range(200):
+        u = rng.normal(size=(60, 3)) * (0.3, 0.6, 0.3) + (1.0, 0.0, 0.0)
+        u /= np.linalg.norm(u, axis=1)[:, None]
+        vel = rng.uniform(-0.06, 0.06, 3)
+        exact = np.round(-u @ vel / step) * step
+        scan = Scan(0.0, 5.0 * u, np.zeros(60), None, exact)
+        found = ego_velocity(scan, settings, step, np.zeros(3))
+        error = found.vel - vel
+        nees.append(error @ found.information @ error / 3.0)
+    # As if each point's rounding were its own it would be some ten
+    assert 0.2 < np.mean(nees) < 1.5
 
 
 def test_a_scan_with_few_points_shows_no_velocity():
@@ -375,8 +391,19 @@ def test_all_forms_give_the_same_velocities(tmp_path):
     write_sequence(tmp_path / "one", flown)
     for name in ("two.bag", "three.mcap"):
         write_bag(tmp_path / name, flown)
+    write_folder(tmp_path / "four", flown, "npz")
+    for file, scan in zip(sorted((tmp_path / "four").glob("*.npz")), scans_of(flown), strict=True):
+        np.savez(file, xyz=scan.points.astype(np.float32), velocity=scan.doppler)
+    write_folder(tmp_path / "five", flown, "binary")
+    for file, scan in zip(sorted((tmp_path / "five").glob("*.pcd")), scans_of(flown), strict=True):
+        kinds = [(name, "<f4") for name in ("x", "y", "z", "doppler")]
+        rows = np.zeros(len(scan.points), kinds)
+        rows["doppler"] = scan.doppler
+        for axis, name in enumerate("xyz"):
+            rows[name] = scan.points[:, axis]
+        write_pcd(file, rows, "binary")
     ways = []
-    for name in ("one", "two.bag", "three.mcap"):
+    for name in ("one", "two.bag", "three.mcap", "four", "five"):
         found = read(tmp_path / name)
         assert found.by_doppler
         ways.append(np.array([one.vel for one in velocities(found.scans, Settings())]))

@@ -225,8 +225,8 @@ def find(
     known = [] if mounting is None else [mounting.rotation]
     every = [*known, *_onto_axes()]
 
-    def fit_at(delay: float) -> Fit | None:
-        """Return the fit at a delay."""
+    def fit_at(delay: float, known: list[Array]) -> Fit | None:
+        """Return the fit at a delay: of what is known, or of any where it is decisively better."""
         pieces, best = _Pieces.of(found, carried, delay, lever), None
         if pieces is None:
             return None
@@ -236,7 +236,7 @@ def find(
                     best = other
         return None if best is None else replace(best, delay=delay)
 
-    tried = [fit_at(delay) for delay in LATENESS.tolist()]
+    tried = [fit_at(delay, []) for delay in LATENESS.tolist()]
     costs = np.array([np.inf if one is None else one.cost for one in tried])
     best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
     if not np.isfinite(costs[best - 1 : best + 2]).all():
@@ -246,7 +246,7 @@ def find(
     delay, sigma = float(LATENESS[best]), np.inf
     if bend > 0:
         delay += 0.5 * step * float(np.clip((before - after) / bend, -1.0, 1.0))
-    fit, plain = fit_at(delay), fit_at(0.0)
+    fit, plain = fit_at(delay, known), fit_at(0.0, known)
     if fit is None or (plain is not None and not fit.is_better(plain)):
         fit = plain
     if fit is not None and bend > 0:
@@ -323,7 +323,8 @@ class _Pieces:
         vel = np.array([found[index].vel for index in ends])
         block = np.arange(len(span))[good] // PIECES
         change = _less_mean((np.diff(force, axis=0) / span[:, None])[good], block)
-        var = np.array([np.trace(np.linalg.pinv(found[index].information)) / 3 for index in ends])
+        P = np.linalg.pinv(np.array([found[index].information for index in ends]))
+        var = np.trace(P, axis1=1, axis2=2) / 3.0
         weight = span[good] ** 2 / (var[good] + var[good + 1])
         return cls(
             (vel[good], vel[good + 1]),
@@ -351,7 +352,7 @@ class _Pieces:
     def by_radar(self, R: Array, lever: Array) -> Array:
         """Return the changes of velocity of a radar that is mounted so, as :attr:`change` is."""
         ends = [
-            np.einsum("nij,nj->ni", C, vel @ R.T - np.cross(rate, lever))
+            np.einsum("nij,nj->ni", C, vel @ R.T - rate @ so3.skew(lever))
             for C, vel, rate in zip(self.C, self.vel, self.rate, strict=True)
         ]
         return _less_mean((ends[1] - ends[0]) / self.span[:, None], self.block)
