@@ -27,6 +27,11 @@ AGREES = 3.0
 """Sigmas within which a point agrees."""
 LEAST = 5
 """Points that agree: three find a velocity, two more can contradict it."""
+SPAN = 0.03
+"""Least singular value of three directions, of the largest, by which they span space, rad: less is
+the error of one."""
+SHOWN = 1e-6
+"""Least information along a direction, of the largest: a spread of directions of a milliradian."""
 ROUNDS = 6
 """Of least squares at most: then hardly a point still comes or goes."""
 MOST_STEPS = 2048
@@ -109,30 +114,23 @@ def ego_velocity(scan: Scan, settings: Settings, step: float, expected: Array) -
         span = 2.0 * settings.most_doppler
         d = d + span * np.round((H @ expected - d) / span)
     vel = _consensus(H, d, _variance(H, expected, settings, step, 1.0))
-    if vel is None:
-        return nothing
-    agrees = np.zeros(len(d), dtype=np.bool_)
-    crowd, scale = 1.0, 1.0
+    agrees, var = np.zeros(len(d), dtype=np.bool_), _variance(H, vel, settings, step, 1.0)
     for _ in range(ROUNDS):
-        var = scale * _variance(H, vel, settings, step, crowd)
         before, agrees = agrees, (d - H @ vel) ** 2 < AGREES**2 * var
         if agrees.sum() < LEAST:
             return nothing
         if (agrees == before).all():
             break
-        crowd = _crowd(d[agrees], step)
-        weighted = H[agrees].T / var[agrees]
-        A = weighted @ H[agrees]
-        if np.linalg.cond(A) > 1e12:
-            return nothing
-        vel = np.linalg.solve(A, weighted @ d[agrees])
-        left = (d - H @ vel)[agrees] ** 2 / _variance(H[agrees], vel, settings, step, crowd)
+        A = (H[agrees].T / var[agrees]) @ H[agrees]
+        # A radar without elevation shows two axes: along the third the least velocity, no more
+        vel = np.linalg.pinv(A, SHOWN, hermitian=True) @ (H[agrees].T @ (d / var)[agrees])
+        var = _variance(H, vel, settings, step, _crowd(d[agrees], step))
         # Surroundings may be noisier than is set, but what repeats itself is no better
-        scale = max(1.0, float(left.sum()) / (len(left) - 3 or 1))
-    var = scale * _variance(H[agrees], vel, settings, step, crowd)
-    A = (H[agrees].T / var) @ H[agrees]
-    rms = float(np.sqrt(np.mean((d - H @ vel)[agrees] ** 2 / var)))
-    # What a scan has as a whole, without an inverse of A: it may hardly hold one direction
+        left = float(((d - H @ vel) ** 2 / var)[agrees].sum())
+        var *= max(1.0, left / (agrees.sum() - 3))
+    A = (H[agrees].T / var[agrees]) @ H[agrees]
+    rms = float(np.sqrt(np.mean(((d - H @ vel) ** 2 / var)[agrees])))
+    # What a scan has as a whole, without an inverse of A: it may not hold one direction
     whole = settings.doppler_scan**2 + settings.doppler_angle**2 * float(vel @ vel)
     information = np.linalg.solve(np.eye(3) + whole * A, A)
     information = 0.5 * (information + information.T)
@@ -145,7 +143,8 @@ def lines_of(found: Iterable[EgoVelocity]) -> Iterator[str]:
     for one in found:
         numbers = [""] * 9
         if one.used:
-            P = np.linalg.pinv(one.information)
+            # To 1 km/s where a direction is not shown
+            P = np.linalg.inv(one.information + 1e-6 * np.eye(3))
             numbers = [f"{value:.6g}" for value in (*one.vel, *P[np.triu_indices(3)])]
         rms = f"{one.rms:.3g}" if one.used else ""
         yield ",".join([f"{one.stamp:.6f}", *numbers, str(one.points), str(one.used), rms])
@@ -175,13 +174,9 @@ def _crowd(d: Array, step: float) -> float:
     return max(1.0, len(d) / steps**2)
 
 
-def _consensus(H: Array, d: Array, var: Array) -> Array | None:
-    """Return the velocity of three points that agrees best with all; None: no three span space."""
+def _consensus(H: Array, d: Array, var: Array) -> Array:
+    """Return the velocity of three points that agrees best with all."""
     chosen = np.random.default_rng(0).integers(len(d), size=(SAMPLES, 3))
-    A = H[chosen]
-    spans = np.abs(np.linalg.det(A)) > 1e-3
-    if not spans.any():
-        return None
-    vel = np.linalg.solve(A[spans], d[chosen[spans]][:, :, None])[:, :, 0]
+    vel = np.einsum("kij,kj->ki", np.linalg.pinv(H[chosen], SPAN), d[chosen])
     cost = np.minimum((d - vel @ H.T) ** 2 / var, AGREES**2).sum(axis=1)
     return np.asarray(vel[int(cost.argmin())])

@@ -22,7 +22,7 @@ from ekf_companion.lidar.state import DELAY, EXCESS, GYRO_BIAS, N, State, exp
 from ekf_companion.replay.pose_aid import PoseFile
 from ekf_companion.review.convert import estimate
 from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
-from sim_autopilot.lidar.record import Simulated, usual_lidar
+from sim_autopilot.lidar.record import Lidar, Simulated, usual_lidar
 from sim_autopilot.lidar.write import write_bag, write_sequence
 from tests.lidar.recordings import arrays, small, write_folder, write_pcd
 from tests.paths import DATA
@@ -140,14 +140,26 @@ def test_what_is_slower_than_a_step_is_covered_by_the_covariance():
 
 def test_a_scan_with_few_points_shows_no_velocity():
     scan = scans_of(walk())[200]
-    few = Scan(scan.stamp, scan.points[:4], scan.times[:4], None, scan.doppler[:4])
-    none = Scan(scan.stamp, scan.points[:0], scan.times[:0], None, scan.doppler[:0])
-    along = np.outer(np.linspace(1.0, 5.0, 30), (1.0, 0.2, 0.1))
-    line = Scan(scan.stamp, along, np.zeros(30), None, np.full(30, -0.5))
-    for one in (few, none, line):
-        (found,) = velocities([one], Settings())
+    for count in (4, 0):
+        few = Scan(
+            scan.stamp,
+            scan.points[:count],
+            scan.times[:count],
+            None,
+            scan.doppler[:count],
+        )
+        (found,) = velocities([few], Settings())
         assert found.used == 0
         assert not found.information.any()
+
+
+def test_a_radar_without_elevation_shows_two_axes():
+    u = np.stack([np.cos(a := np.linspace(-1.0, 1.0, 40)), np.sin(a), np.zeros(40)], axis=1)
+    vel = np.array([1.0, -0.5, 0.3])
+    (found,) = velocities([Scan(0.0, 4.0 * u, np.zeros(40), None, -u @ vel)], Settings())
+    np.testing.assert_allclose(found.vel, [1.0, -0.5, 0.0], atol=1e-9)
+    assert np.linalg.matrix_rank(found.information) == 2
+    assert not found.information[2].any()
 
 
 def test_the_jacobian_of_the_velocity_is_its_difference():
@@ -327,6 +339,19 @@ def test_axes_that_do_not_belong_together_are_named_with_those_that_do(tmp_path,
     solution = solve(found, Settings())
     error, _ = errors_of(walk(), solution)
     assert np.linalg.norm(error[-1]) < 0.02 * solution.way
+
+
+def test_a_radar_without_elevation_is_believed_as_it_is_mounted(tmp_path):
+    def flat(lidar, imu):
+        lidar["xyz"] = lidar["xyz"] * np.array([1, 1, 0], np.int16)
+
+    level = Lidar(replace(RAYS, low=-0.001, high=0.001), position=np.array([0.05, 0.0, 0.08]))
+    flown = simulate_radar("room", 3, duration=WALK, radar=level)
+    found = read(written(tmp_path / "r", flown, flat))
+    assert any("the motion does not show" in one for one in found.decisions)
+    error, P = errors_of(flown, solution := solve(found, Settings()))
+    assert np.linalg.norm(error[-1, :2]) < 0.02 * solution.way
+    assert error[-1] @ np.linalg.solve(P[-1], error[-1]) / 3.0 < 3.0
 
 
 def test_speeds_that_wrap_go_on_where_it_is_said(tmp_path):

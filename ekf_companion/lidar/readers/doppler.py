@@ -56,6 +56,8 @@ TWICE = 4.0
 """Variance, as a multiple of what the points of scans say, from which a sentence says so."""
 UNIT_SIGMA = 0.2
 """Relative sigma of the unit up to which it counts as shown: its sign then is."""
+NO_AXIS = 1e-3
+"""Information along an axis of the radar, of the largest, below which it has none: no elevation."""
 LEAST_UNIT = 1e-2
 """Size of a unit whose sign a start does not show."""
 TAIL = 27.0
@@ -172,7 +174,7 @@ def compare_doppler(
             f"sigma {np.degrees(fit.sigma):.1f} deg, taken for at the inertial sensor; give the "
             "mounting if it is known"
         )
-    elif (angle := fit.apart(mounting.rotation)) > APART:
+    elif (angle := fit.apart(mounting.rotation)) > APART and fit.sigma < SHOWN:
         raise LogError(
             f"{name}: the axes of radar and inertial sensor do not belong together: by the motion "
             f"the radar is mounted at {_angles(fit)}, {np.degrees(angle):.0f} deg from where it is "
@@ -214,12 +216,17 @@ def _angles(fit: Fit) -> str:
 def find(
     found: list[EgoVelocity], inertial: InertialSamples, mounting: Mounting | None
 ) -> Fit | None:
-    """Return how a radar is turned and late by its velocities; None: too few of them.
+    """Return how a radar is turned and late by its velocities.
+
+    None: there are too few, or they have two axes only, into which any change can be turned.
 
     A mounting that is known, and speeds that are positive away, hold unless the motion denies them
     decisively: what it does not show, as which side is left of a vehicle that never moves there,
     it must not change.
     """
+    shown = np.linalg.eigvalsh(sum(one.information for one in found))
+    if shown[0] < NO_AXIS * shown[-1]:
+        return None
     carried = _Carried.of(inertial)
     lever = np.zeros(3) if mounting is None else mounting.position
     known = [] if mounting is None else [mounting.rotation]
