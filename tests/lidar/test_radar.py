@@ -7,6 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from benchmarks.lidar_aid import CONFIG, Flight
@@ -124,14 +126,14 @@ def test_the_step_of_the_speeds_is_found():
 
 def test_what_is_slower_than_a_step_is_covered_by_the_covariance():
     rng = np.random.default_rng(2)
-    settings, step, nees = Settings(doppler_scan=0.0), 0.125, []
+    alone, step, nees = Settings(doppler_scan=0.0), 0.125, []
     for _ in range(200):
         u = rng.normal(size=(60, 3)) * (0.3, 0.6, 0.3) + (1.0, 0.0, 0.0)
         u /= np.linalg.norm(u, axis=1)[:, None]
         vel = rng.uniform(-0.06, 0.06, 3)
         exact = np.round(-u @ vel / step) * step
         scan = Scan(0.0, 5.0 * u, np.zeros(60), None, exact)
-        found = ego_velocity(scan, settings, step, np.zeros(3))
+        found = ego_velocity(scan, alone, step, np.zeros(3))
         error = found.vel - vel
         nees.append(error @ found.information @ error / 3.0)
     # As if each point's rounding were its own it would be some ten
@@ -151,6 +153,19 @@ def test_a_scan_with_few_points_shows_no_velocity():
         (found,) = velocities([few], Settings())
         assert found.used == 0
         assert not found.information.any()
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 30), st.floats(-3, 30), st.floats(-6, 6))
+def test_any_scan_shows_a_finite_velocity_or_none(seed, count, size, spread):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-abs(spread), 1.0, 3)
+    speeds = np.round(rng.normal(size=count) * 10.0**size, rng.integers(0, 9))
+    scan = Scan(0.0, points, np.zeros(count), None, speeds)
+    for one in velocities([scan, scan], Settings(most_doppler=float(rng.integers(2)))):
+        assert np.isfinite(one.vel).all()
+        assert np.linalg.eigvalsh(one.information)[0] >= -1e-9 * np.abs(one.information).max()
+        assert 0 <= one.used <= one.points <= count
 
 
 def test_a_radar_without_elevation_shows_two_axes():
@@ -358,8 +373,8 @@ def test_speeds_that_wrap_go_on_where_it_is_said(tmp_path):
     flown = walk(most_speed=0.55, step=0.1)
     assert np.abs(flown.doppler).max() < 0.61
     path = written(tmp_path / "r", flown)
-    settings = Settings(most_doppler=0.55)
-    error, _ = errors_of(flown, held := solve(read(path, most_speed=0.55), settings))
+    told = Settings(most_doppler=0.55)
+    error, _ = errors_of(flown, held := solve(read(path, most_speed=0.55), told))
     assert np.linalg.norm(error[-1]) < 0.02 * held.way
     lost = solve(read(path), Settings())
     assert any("wrap" in one for one in lost.remarks()) or not lost.verdict().startswith("good")
@@ -378,12 +393,17 @@ def sparse(lidar, imu):
         lidar["xyz"][begin:end] = 0
 
 
+def cut_short(lidar, imu):
+    lidar["doppler"] = lidar["doppler"][:-3]
+
+
 @pytest.mark.parametrize(
     ("edit", "word"),
     [
         (without_speeds, "are empty"),
         (of_a_lidar, "not all points have radial speeds"),
         (sparse, "0 scans show a velocity"),
+        (cut_short, "doppler has"),
     ],
 )
 def test_a_recording_that_shows_nothing_is_refused(tmp_path, edit, word):

@@ -39,6 +39,11 @@ def open_sequence(path: Path) -> Source:
             f"{path / 'lidar.npz'}: first must be {len(lidar['stamp']) + 1} rising numbers up to "
             f"{count}: scan k has the points first[k] to first[k + 1]"
         )
+    for name in ("dt", "ring", "doppler"):
+        if len(lidar.get(name, lidar["xyz"])) != count:
+            raise LogError(
+                f"{path / 'lidar.npz'}: {name} has {len(lidar[name])} numbers for {count} points"
+            )
     return Source(
         name=path.name,
         scans=lambda: _scans(path),

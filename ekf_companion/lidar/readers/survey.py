@@ -69,7 +69,5 @@ def _quantiles(times: Stored) -> Array:
 def is_return(scan: StoredScan) -> Mask:
     """Return which points are returns: finite, and not the 0 0 0 of an organised cloud."""
     x, y, z = scan.points.T
-    if scan.doppler is not None:
-        x = x + 0.0 * scan.doppler
     mask: Mask = np.isfinite(x + y + z) & ((x != 0) | (y != 0) | (z != 0))
-    return mask
+    return mask if scan.doppler is None else mask & np.isfinite(scan.doppler)
