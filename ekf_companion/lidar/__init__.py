@@ -1,1 +1,1 @@
-"""Lidar-inertial odometry: scans to relative poses with their covariance."""
+"""Lidar- and radar-inertial odometry: scans to relative poses with their covariance."""

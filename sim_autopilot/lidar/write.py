@@ -118,7 +118,7 @@ def write_bag(path: Path, flown: Simulated) -> None:
         transforms = "geometry_msgs/TransformStamped[] transforms"
         store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
     kind = StoragePlugin.MCAP if path.suffix == ".mcap" else StoragePlugin.SQLITE3
-    messages = _Messages(store, is_ros1)
+    messages = Messages(store, is_ros1)
     rows = [(round(flown.imu_stamp[0] * 1e9), "/tf_static", messages.transforms(flown))]
     for k, stamp in enumerate(flown.stamp):
         ns = round(stamp * 1e9)
@@ -142,7 +142,7 @@ def write_bag(path: Path, flown: Simulated) -> None:
             writer.write(connections[topic], ns, serialize(message, message.__msgtype__))
 
 
-class _Messages:
+class Messages:
     """Messages of a type store."""
 
     def __init__(self, store: Any, is_ros1: bool) -> None:
@@ -154,6 +154,7 @@ class _Messages:
         return self._types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **self._seq)
 
     def cloud(self, ns: int, flown: Simulated, part: slice) -> Any:
+        """Return a scan as PointCloud2."""
         layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<u4")])
         numbers = {"x": 7, "y": 7, "z": 7, "ring": 4, "t": 6}
         if flown.doppler is not None:
@@ -185,6 +186,7 @@ class _Messages:
         )
 
     def imu(self, ns: int, gyro: Any, accel: Any) -> Any:
+        """Return a sample as Imu."""
         vector = self._types["geometry_msgs/msg/Vector3"]
         unknown = np.array([-1.0, *[0.0] * 8])
         return self._types["sensor_msgs/msg/Imu"](
@@ -198,6 +200,7 @@ class _Messages:
         )
 
     def transforms(self, flown: Simulated) -> Any:
+        """Return the mounting as TFMessage."""
         vector = self._types["geometry_msgs/msg/Vector3"]
         w, x, y, z = so3.from_matrix(flown.lidar.rotation).tolist()
         one = self._types["geometry_msgs/msg/TransformStamped"](

@@ -25,7 +25,7 @@ from ekf_companion.replay.pose_aid import PoseFile
 from ekf_companion.review.convert import estimate
 from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
 from sim_autopilot.lidar.record import Lidar, Simulated, usual_lidar
-from sim_autopilot.lidar.write import write_bag, write_sequence
+from sim_autopilot.lidar.write import Messages, write_bag, write_sequence
 from tests.lidar.recordings import arrays, small, write_folder, write_pcd
 from tests.paths import DATA
 
@@ -454,6 +454,57 @@ def test_all_forms_give_the_same_velocities(tmp_path):
         ways.append(np.array([one.vel for one in velocities(found.scans, Settings())]))
     for other in ways[1:]:
         np.testing.assert_allclose(other, ways[0], atol=1e-5)  # points are float32
+
+
+LATENCY = 0.12
+"""Of a scan's arrival, s."""
+
+
+def write_unstamped(path, flown, *, has_trigger):
+    """Write a bag of ROS 1 whose clouds have no stamps, as a driver of TI's boards does."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types, made, epoch = store.types, Messages(store, True), 1_700_000_000_000_000_000
+
+    def head(ns, number):
+        time = types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
+        return types["std_msgs/msg/Header"](seq=number, stamp=time, frame_id="")
+
+    rows = []
+    for k, stamp in enumerate(flown.stamp):
+        ns = round(stamp * 1e9)
+        cloud = made.cloud(ns, flown, slice(flown.first[k], flown.first[k + 1]))
+        cloud.header = head(0, 40 + k)
+        rows.append((ns + round(LATENCY * 1e9), "/radar", cloud))
+        if has_trigger:
+            rows.append((ns, "/trigger", head(ns, 40 + k)))
+    for stamp, gyro, accel in zip(flown.imu_stamp, flown.gyro, flown.accel, strict=True):
+        ns = round(stamp * 1e9)
+        rows.append((ns, "/imu", made.imu(ns, gyro, accel)))
+    with Writer(path) as writer:
+        connections = {}
+        for ns, topic, message in sorted(rows, key=lambda row: row[0]):
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], epoch + ns, store.serialize_ros1(message, kind))
+
+
+@pytest.mark.parametrize("has_trigger", [True, False], ids=["trigger", "arrival"])
+def test_scans_without_stamps_get_those_of_their_trigger_or_of_arrival(tmp_path, has_trigger):
+    write_unstamped(tmp_path / "r.bag", walk(), has_trigger=has_trigger)
+    tilted = Mounting(walk().lidar.rotation, walk().lidar.position)
+    found = read(tmp_path / "r.bag", mounting=tilted)
+    stamps = [scan.stamp for scan in found.scans]
+    word = "/trigger with the same number" if has_trigger else "their arrival is taken"
+    assert any(word in one for one in found.decisions)
+    if has_trigger:
+        np.testing.assert_allclose(stamps, walk().stamp, atol=1e-8)
+    else:
+        # The motion shows the latency, to what the filter finds itself
+        np.testing.assert_allclose(stamps, walk().stamp + FRAME, atol=radar.LATE)
 
 
 def test_the_command_writes_velocities_and_refuses_a_map(tmp_path):
