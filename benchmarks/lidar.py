@@ -205,7 +205,7 @@ def main() -> None:
     if wanted in ("", "aid"):
         lidar_aid.main()
     if wanted in ("", "radar"):
-        lidar_radar.main()
+        lidar_radar.main(score)
     if wanted in ("", "memory"):
         lidar_memory.main()
 

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -38,8 +39,8 @@ PUBLISHED = Mounting(
 right, forward, up to forward, left, up."""
 RECORDED_HEAD = "recorded walk, 40 s | way, m | end from begin, m: level, height | % | own sigma, m"
 HEAD = (
-    "simulated | way, m | error at the end, %: RMS of seeds, worst | NEES, an axis: velocities of "
-    "scans, position | ms a scan"
+    "simulated | way, m | error at the end, %: RMS of seeds, worst | own sigma there, m | NEES, an "
+    "axis: velocities of scans; position, rotation over 1 s; position since the start | ms a scan"
 )
 WORLDS = ("room", "forest", "street")
 SEEDS = range(1, 5)
@@ -90,10 +91,11 @@ def _returned(name: str, place: Array, sigma: str) -> str:
     return f"{name} | {way:.1f} | {level:.2f}, {height:.2f} | {share:.1f} | {sigma}"
 
 
-def rows(folder: Path) -> Iterator[str]:
+def rows(folder: Path, score: ModuleType) -> Iterator[str]:
     """Yield rows of simulated ways."""
     for world in WORLDS:
         ends, of_scans, of_position, ways, spent = [], [], [], [], []
+        apart, sigmas = [], []
         for seed in SEEDS:
             flown = simulate_radar(world, seed, duration=LENGTH)
             write_sequence(folder / f"{world}{seed}", flown)
@@ -103,6 +105,9 @@ def rows(folder: Path) -> Iterator[str]:
             spent.append(1e3 * (time.process_time() - begin) / len(flown.stamp))
             error, nees = judged(flown, solution)
             ways.append(solution.way)
+            sigmas.append(solution.sigma)
+            found = score.score_relative(str(folder / f"{world}{seed}"), solution.relatives())
+            apart.append([found[f"nees_{kind}"]["mean"] for kind in ("position", "rotation")])
             ends.append(100.0 * float(np.linalg.norm(error[-1])) / solution.way)
             of_position.append(float(nees[60:].mean()))
             for one in velocities(recording.scans, Settings()):
@@ -112,9 +117,11 @@ def rows(folder: Path) -> Iterator[str]:
                 miss = one.vel - vel
                 of_scans.append(float(miss @ one.information @ miss) / 3.0)
         rms = float(np.sqrt(np.mean(np.square(ends))))
+        span = ", ".join(f"{one:.2f}" for one in np.mean(apart, axis=0))
         yield (
-            f"{world} | {np.mean(ways):.0f} | {rms:.2f}, {max(ends):.2f} | "
-            f"{np.mean(of_scans):.2f}, {np.mean(of_position):.2f} | {np.mean(spent):.1f}"
+            f"{world} | {np.mean(ways):.0f} | {rms:.2f}, {max(ends):.2f} | {np.mean(sigmas):.1f} | "
+            f"{np.mean(of_scans):.2f}; {span}; "
+            f"{np.mean(of_position):.2f} | {np.mean(spent):.1f}"
         )
 
 
@@ -128,7 +135,7 @@ def true_velocity(flown: Simulated, stamp: float) -> Array:
 
 def judged(flown: Simulated, solution: Solution) -> tuple[Array, Array]:
     """Return the errors of the positions since the first pose, and their NEES an axis."""
-    t = solution.track.stamp + FRAME
+    t = solution.track.stamp
     place = flown.motion.position(t)
     truth = (place - place[0]) @ flown.motion.rotation(t[:1])[0]
     error, P = solution.track.pos_w - truth, solution.track.covariance[:, 3:6, 3:6]
@@ -149,11 +156,11 @@ def cut_rows(folder: Path) -> Iterator[str]:
             yield lidar_aid.row(world, name, flight, cut, folder / "log.csv", file)
 
 
-def main() -> None:
-    """Print the tables."""
+def main(score: ModuleType) -> None:
+    """Print the tables, by the scores of shared/tools/lidar_score.py."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        parts = [(HEAD, rows(folder)), (lidar_aid.HEAD, cut_rows(folder))]
+        parts = [(HEAD, rows(folder, score)), (lidar_aid.HEAD, cut_rows(folder))]
         if RECORDED.is_file():
             parts.insert(0, (RECORDED_HEAD, recorded_rows(folder)))
         else:
@@ -161,7 +168,3 @@ def main() -> None:
         for head, lines in parts:
             for one in table(head, lines):
                 print(one, flush=True)
-
-
-if __name__ == "__main__":
-    main()

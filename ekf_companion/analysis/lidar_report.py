@@ -117,7 +117,7 @@ def _holds(solution: Solution, sheet: Sheet, t_ns: Stamps) -> list[Any]:
 def _matches(solution: Solution, sheet: Sheet, t_ns: Stamps) -> list[Any]:
     track = solution.track
     return [
-        *sheet.lines("points on planes of the map", "", [("used", t_ns, track.used, _WAY)]),
+        *sheet.lines("points used", "", [("used", t_ns, track.used, _WAY)]),
         *sheet.lines("innovations in their sigmas, RMS", "", [("RMS", t_ns, track.rms, _WAY)]),
         *sheet.lines(
             "evaluations of the update", "", [("evaluations", t_ns, track.evaluations, _WAY)]

@@ -6,7 +6,7 @@ The radar measures the velocity of itself, in its own axes, at the time of a sca
 
 with the rate w and the lever arm l. It sees no place and no heading: position drifts by what is
 wrong in velocity and heading, and the covariance says so. Filter, state and results are those of
-the lidar, without a map.
+the lidar, without a map; but estimates have stamps of the inertial clock, as the radar's are late.
 
 Source: Doer and Trommer 2020, "An EKF based approach to radar inertial odometry", with mounting and
 delay in the state: the same 2020, "Radar inertial odometry with online calibration".
@@ -140,10 +140,10 @@ class RadarOdometry:
             self._fuse(no_turn(self.x, still, end - before))
         self.P[EXCESS] = self.P[:, EXCESS] = 0.0
         return Estimate(
-            stamp=one.stamp,
+            stamp=end,
             state=self.x,
             P=self.P[:N, :N].copy(),
-            relative=self._mark(one.stamp),
+            relative=self._mark(end),
             match=match,
             clipped=path.clipped,
             lost=path.lost,

@@ -64,7 +64,7 @@ def true_velocity(flown, stamp):
 
 def errors_of(flown, solution):
     """Return errors of the positions since the first pose, in its axes, and their covariances."""
-    t = solution.track.stamp + FRAME
+    t = solution.track.stamp
     place = flown.motion.position(t)
     truth = (place - place[0]) @ flown.motion.rotation(t[:1])[0]
     return solution.track.pos_w - truth, solution.track.covariance[:, 3:6, 3:6]
