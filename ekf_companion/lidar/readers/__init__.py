@@ -7,7 +7,7 @@ folder      .pcd or .npz files with imu.csv
 pcap        packets of Ouster and Velodyne
 survey      one pass over the scans: numbers of each
 timing, inertial, motion   decisions: stamps and times; samples; whether lidar and gyro agree
-doppler     whether the velocities by a radar's radial speeds and the samples agree
+doppler, doppler_fit   whether velocities by a radar's radial speeds and the samples agree
 judge       all of them: a Recording, or an error that names what is wrong
 """
 
