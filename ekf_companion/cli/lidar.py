@@ -183,7 +183,7 @@ def _settings(
     if wrong := set(find) - {"mounting", "delay"}:
         raise ConfigError(f"--find: {wrong.pop()}: is mounting or delay")
     if form is not None and form not in FILTERS:
-        raise ConfigError(f"--filter: {form}: is {', '.join(FILTERS)}")
+        raise ConfigError(f"--filter: {form}: is anchors, lins, fast-lio or doppler")
     if nearest >= farthest:
         raise ConfigError("--nearest: is beyond --farthest")
     return Settings(

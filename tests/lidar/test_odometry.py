@@ -222,7 +222,7 @@ def test_the_command_writes_what_is_asked_for(room, tmp_path):
         (["--find", "north"], 2, "mounting or delay"),
         (["--stamp", "late"], 2, "start, middle or end"),
         (["--report", "way.pdf"], 2, "is a .html"),
-        (["--filter", "kalman"], 2, "anchors, lins or fast-lio"),
+        (["--filter", "kalman"], 2, "anchors, lins, fast-lio or doppler"),
         (["--nearest", "90"], 2, "beyond"),
     ],
 )
