@@ -85,7 +85,7 @@ COMMANDS = {
     "lidar": _Entry(
         "lidar",
         "lidar",
-        "Estimate a lidar's way with an honest covariance, from its scans and inertial samples.",
+        "Estimate the way of a lidar or a radar, with covariance, from scans and inertial samples.",
     ),
     "doctor": _Entry(
         "doctor", "doctor", "Find the stage that loses the data, and the parameter to change."
