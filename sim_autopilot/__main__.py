@@ -31,9 +31,11 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.fly import Flown, over, play, run, telling
 from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.lidar.beams import BEAMS
+from sim_autopilot.lidar.device import Device
+from sim_autopilot.lidar.livox import datagrams, write_pcap
 from sim_autopilot.lidar.radar import RAYS, simulate_radar
+from sim_autopilot.lidar.record import Simulated, usual_lidar
 from sim_autopilot.lidar.record import simulate as simulate_lidar
-from sim_autopilot.lidar.record import usual_lidar
 from sim_autopilot.lidar.worlds import WORLDS
 from sim_autopilot.lidar.write import write_bag, write_sequence
 from sim_autopilot.loop import Bench, StreamRequester
@@ -78,6 +80,10 @@ AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to imitate, ideal: with
 PERSONALITY = typer.Option(
     None, help="Which autopilot to imitate, with its habits; `personalities` lists them."
 )
+WORLD = typer.Option("room", help=f"Where: {', '.join(WORLDS)}.")
+BEAM = typer.Option(None, help="spin16, spin32, rosette or radar; None: as usual there.")
+LIVOX_BEGIN_NS = 20_000_000_000
+"""A Livox's clock when it begins to measure: it has been on for so long."""
 FAULT = typer.Option(
     [], help="A failure: KIND[:start=20,duration=5,...]; `faults` lists them. Repeatable."
 )
@@ -183,35 +189,60 @@ def replay(
 @app.command(cls=Command)
 def lidar(
     output: Path = typer.Argument(
-        ..., help="A folder for .npz arrays, a .bag of ROS 1, or .mcap or .db3: a folder of ROS 2."
+        ...,
+        help="A folder for .npz arrays, a .bag of ROS 1, .mcap or .db3: a folder of ROS 2; .pcap: "
+        "what a Livox sends.",
     ),
-    world: str = typer.Option("room", help="Where: room, street, forest, tunnel, plain."),
-    beams: str | None = typer.Option(
-        None, help="spin16, spin32, rosette or radar; None: as usual there."
-    ),
+    world: str = WORLD,
+    beams: str | None = BEAM,
     seed: int = SEED,
     duration: float = typer.Option(40.0, help="Seconds.", min=2.0, max=600.0),
 ) -> None:
     """Write a recording of a simulated lidar and inertial sensor, with its truth."""
     with _exit_on_error():
-        for name, known in ((world, [*WORLDS]), (beams, [*BEAMS, RAYS.name])):
-            if name is not None and name not in known:
-                raise typer.BadParameter(f"{name}: unknown; there are {', '.join(known)}")
-        if beams == RAYS.name:
-            recorded = simulate_radar(world, seed, duration=duration)
-        else:
-            fitted = usual_lidar(world, BEAMS[beams] if beams else None)
-            recorded = simulate_lidar(
-                world, seed, duration=duration, lidar=fitted, name=output.stem
-            )
+        if beams == RAYS.name and output.suffix == ".pcap":
+            raise typer.BadParameter("a Livox is no radar; write a folder, a .bag, .mcap or .db3")
+        recorded = _lidar(world, beams, seed, duration, output.stem)
         if output.suffix in (".bag", ".mcap", ".db3"):
             write_bag(output, recorded)
+        elif output.suffix == ".pcap":
+            write_pcap(output, datagrams(recorded, LIVOX_BEGIN_NS))
         else:
             write_sequence(output, recorded)
     _console.print(
         f"{output}: {len(recorded.stamp)} scans, {len(recorded.xyz)} points, "
         f"{len(recorded.imu_stamp)} inertial samples, {duration:.1f} s of {world}"
     )
+
+
+@app.command(cls=Command)
+def livox(
+    host: str = typer.Argument(..., help="Its address, one of this computer's: 127.0.0.2"),
+    port: int = typer.Option(56100, help="Of its commands.", min=1, max=65535),
+    world: str = WORLD,
+    beams: str | None = BEAM,
+    seed: int = SEED,
+    duration: float = typer.Option(40.0, help="Seconds.", min=2.0, max=600.0),
+) -> None:
+    """Be a Livox Mid-360 on the network: send once told to, in real time, to the end."""
+    with _exit_on_error():
+        if beams == RAYS.name:
+            raise typer.BadParameter("a Livox is no radar")
+        recorded = _lidar(world, beams, seed, duration, "livox")
+        with Device(recorded, host, port=port, begin_ns=LIVOX_BEGIN_NS) as device:
+            _console.print(f"{host} port {device.command_port}: waiting to be told to send")
+            device.is_done.wait()
+    _console.print(f"{device.sent} datagrams sent, {duration:.1f} s of {world}")
+
+
+def _lidar(world: str, beams: str | None, seed: int, duration: float, name: str) -> Simulated:
+    for given, known in ((world, [*WORLDS]), (beams, [*BEAMS, RAYS.name])):
+        if given is not None and given not in known:
+            raise typer.BadParameter(f"{given}: unknown; there are {', '.join(known)}")
+    if beams == RAYS.name:
+        return simulate_radar(world, seed, duration=duration)
+    fitted = usual_lidar(world, BEAMS[beams] if beams else None)
+    return simulate_lidar(world, seed, duration=duration, lidar=fitted, name=name)
 
 
 @app.command(cls=Command)

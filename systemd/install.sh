@@ -139,7 +139,7 @@ install_files() {
     for file in $(shared); do
         install -D -m 644 "systemd/share/$file" "$usr/share/$file"
     done
-    for unit in ekf-companion.service ekf-companion@.service; do
+    for unit in ekf-companion.service ekf-companion@.service ekf-companion-lidar.service; do
         sed "s|/opt/ekf-companion|$prefix|g" "systemd/$unit" > "$units/$unit"
         chmod 644 "$units/$unit"
     done
@@ -157,10 +157,10 @@ install_files() {
 
 uninstall() {
     if is_live; then
-        systemctl stop ekf-companion.service 'ekf-companion@*.service' || true
-        systemctl disable ekf-companion.service ekf-companion@.service || true
+        systemctl stop ekf-companion.service 'ekf-companion@*.service' ekf-companion-lidar.service || true
+        systemctl disable ekf-companion.service ekf-companion@.service ekf-companion-lidar.service || true
     fi
-    rm -f "$units/ekf-companion.service" "$units/ekf-companion@.service"
+    rm -f "$units/ekf-companion.service" "$units/ekf-companion@.service" "$units/ekf-companion-lidar.service"
     rm -f "$rules/70-ekf-companion.rules"
     [ "$(readlink "$usr/bin/ekf-companion")" != "$prefix/bin/ekf-companion" ] ||
         rm -f "$usr/bin/ekf-companion"

@@ -61,7 +61,11 @@ def test_its_metadata_name_the_python_that_it_was_made_for(deb):
 
 def test_everything_is_where_a_package_has_it(tree):
     units = sorted(path.name for path in (tree / "usr/lib/systemd/system").iterdir())
-    assert units == ["ekf-companion.service", "ekf-companion@.service"]
+    assert units == [
+        "ekf-companion-lidar.service",
+        "ekf-companion.service",
+        "ekf-companion@.service",
+    ]
     rule = tree / "usr/lib/udev/rules.d/70-ekf-companion.rules"
     assert rule.read_bytes() == (ROOT / "systemd/70-ekf-companion.rules").read_bytes()
     for path in (MAN.with_name(MAN.name + ".gz"), *COMPLETIONS.values()):

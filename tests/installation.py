@@ -76,7 +76,7 @@ def staged(tmp_path_factory):
 
 
 def test_everything_is_in_its_place(staged):
-    for name in ("ekf-companion.service", "ekf-companion@.service"):
+    for name in ("ekf-companion.service", "ekf-companion@.service", "ekf-companion-lidar.service"):
         unit = (staged.units / name).read_text()
         assert f"ExecStart={staged.prefix}/bin/ekf-companion run" in unit
         assert "/opt/ekf-companion" not in unit

@@ -19,7 +19,9 @@ from tests.sandbox import confine, numbers
 
 FOLDER = ROOT / "systemd"
 PLAIN, INSTANCE = FOLDER / "ekf-companion.service", FOLDER / "ekf-companion@.service"
+LIDAR = FOLDER / "ekf-companion-lidar.service"
 UNITS = [PLAIN, INSTANCE]
+ALL = [*UNITS, LIDAR]
 DROP_INS = sorted((FOLDER / "drop-ins").iterdir())
 EXPOSURE = 2.0
 """Of 10, as `systemd-analyze security` counts."""
@@ -55,7 +57,7 @@ def verify(folder, unit, text, drop_in=None):
     return analyze("verify", path)
 
 
-@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
+@pytest.mark.parametrize("unit", ALL, ids=lambda path: path.name)
 def test_systemd_reads_every_line(tmp_path, unit):
     assert verify(tmp_path, unit, unit.read_text()) == (0, "")
 
@@ -72,7 +74,7 @@ def test_systemd_would_complain_of_a_key_that_it_does_not_know(tmp_path):
     assert "LoadCredentials" in words
 
 
-@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
+@pytest.mark.parametrize("unit", ALL, ids=lambda path: path.name)
 def test_little_is_left_to_whoever_breaks_in(tmp_path, unit):
     path = tmp_path / unit.name
     path.write_text(unit.read_text())
@@ -100,6 +102,15 @@ def test_the_program_takes_the_arguments_that_systemd_gives_it(unit):
     assert f"/nowhere/ekf-companion/{name}.yaml: cannot be read" in result.stderr
 
 
+def test_the_lidars_program_takes_the_options_of_its_file():
+    program, command, options = setting(LIDAR, "ExecStart").split()
+    assert (program, options) == ("/opt/ekf-companion/bin/ekf-companion", "$LIDAR")
+    result = CliRunner().invoke(app, [command, "192.168.1.150", "--on-vehicle", "0,20"])
+    assert result.exit_code == 2
+    assert "--on-vehicle: '0,20': is ROLL,PITCH,YAW in deg" in result.stderr
+    assert setting(LIDAR, "EnvironmentFile") == setting(LIDAR, "ConditionPathExists")
+
+
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
 def test_the_state_that_a_restart_goes_on_from_lies_where_systemd_lets_it(unit):
     folder = setting(unit, "StateDirectory")
@@ -124,7 +135,7 @@ def test_the_two_units_differ_only_in_names():
 
 
 def test_it_is_started_again_however_often_it_fails():
-    for unit in UNITS:
+    for unit in ALL:
         for key, value in (
             ("Restart", "always"),
             ("RestartSec", "0.3"),

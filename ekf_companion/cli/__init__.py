@@ -87,6 +87,11 @@ COMMANDS = {
         "lidar",
         "Estimate the way of a lidar or a radar, with covariance, from scans and inertial samples.",
     ),
+    "run-lidar": _Entry(
+        "run_lidar",
+        "run_lidar",
+        "Run a lidar's odometry until SIGTERM, and send it to the daemon on this board.",
+    ),
     "doctor": _Entry(
         "doctor", "doctor", "Find the stage that loses the data, and the parameter to change."
     ),

@@ -105,7 +105,7 @@ def lidar(
         settings = _settings(find or [], form, nearest, farthest, most_speed)
         if stamp not in (None, "start", "middle", "end"):
             raise ConfigError(f"--stamp: {stamp}: is start, middle or end")
-        pose = None if lidar_pose is None else _mounting(lidar_pose)
+        pose = None if lidar_pose is None else read_mounting("--lidar-pose", lidar_pose)
 
         with progress_line(recording.name):
             found = read(
@@ -235,8 +235,12 @@ def _write(
                 file.write(f"{line}\n".encode())
 
 
-def _mounting(text: str) -> Mounting:
-    """Return the mounting that an option says."""
+def read_mounting(option: str, text: str) -> Mounting:
+    """Return the mounting that an option says.
+
+    Raises:
+        ConfigError: It is not six numbers.
+    """
     import numpy as np
 
     from ekf_companion.lidar.recording import Mounting
@@ -247,9 +251,7 @@ def _mounting(text: str) -> Mounting:
     except ValueError:
         numbers = []
     if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise ConfigError(
-            f"--lidar-pose: {text}: is six numbers, X,Y,Z,ROLL,PITCH,YAW in m and deg"
-        )
+        raise ConfigError(f"{option}: {text}: is six numbers, X,Y,Z,ROLL,PITCH,YAW in m and deg")
     roll, pitch, yaw = np.radians(numbers[3:]).tolist()
     C = so3.to_matrix(so3.from_euler(roll, pitch, yaw))
     return Mounting(C, np.array(numbers[:3]))

@@ -23,6 +23,7 @@ from ekf_companion.daemon.exporters import open_exporters
 from ekf_companion.daemon.freshness import Freshness
 from ekf_companion.daemon.http import open_http_server
 from ekf_companion.daemon.key_file import open_signing
+from ekf_companion.daemon.loop import run_loop
 from ekf_companion.daemon.monitors import Monitors
 from ekf_companion.daemon.recent_events import RecentEvents
 from ekf_companion.daemon.reception import deliver, open_aid_port, open_reception
@@ -38,7 +39,6 @@ from ekf_companion.status.observer import Observer
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
 else:
-    from exceptiongroup import BaseExceptionGroup
     from taskgroup import TaskGroup
 
 _log = logging.getLogger(__name__)
@@ -75,19 +75,7 @@ def run(read: Callable[[], Config]) -> None:
         CompanionError: A bug; its traceback is in the log.
     """
     config = read()
-    try:
-        asyncio.run(serve(config, read))
-    except Exception as error:  # noqa: BLE001  # the one place; systemd restarts us
-        cause: BaseException = error
-        # A task group wraps what its tasks raise
-        while isinstance(cause, BaseExceptionGroup):
-            cause = cause.exceptions[0]
-        if isinstance(cause, CompanionError):
-            raise cause from None
-        _log.exception("Ended by a bug")
-        raise CompanionError(
-            f"ended by a bug ({type(cause).__name__}); the traceback is above: please report it"
-        ) from None
+    run_loop(serve(config, read))
 
 
 async def serve(config: Config, read: Callable[[], Config]) -> None:

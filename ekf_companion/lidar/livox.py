@@ -1,15 +1,18 @@
-"""Datagrams of a Livox (Mid-360, HAP, Avia 2): bytes in, points and inertial samples out.
+"""Datagrams of a Livox Mid-360 (HAP, Avia 2): bytes in, points and inertial samples out.
 
-Layout: Livox-SDK2 1.4.3, include/livox_lidar_def.h (LivoxLidarEthernetPacket). Little-endian; the
-times of points are spread over the datagram's interval, as livox_ros_driver2 does it. Ports of the
-host: `POINT_PORT` and `IMU_PORT`. The lidar starts to send when it is configured to.
+Layout: "Livox LiDAR Communication Protocol, Mid-360", 1.4.11, point cloud and IMU data:
+little-endian, CRC-32 (IEEE 802.3) of everything from the time stamp on. The times of points are
+spread over the datagram's interval, as livox_ros_driver2 does it.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import Enum
+from itertools import groupby
+from zlib import crc32
 
 import numpy as np
 
@@ -18,8 +21,11 @@ from ekf_companion.nav.arrays import Array, Stamps
 
 POINT_PORT = 56301
 IMU_PORT = 56401
+"""Of the host, as the lidar has them from the factory."""
 HEAD = struct.Struct("<BHHHHBBB12xIQ")
 """Version, length, interval (0.1 us), points, count, frame, data, time, CRC, time (ns)."""
+CHECKED = HEAD.size - 8
+"""From where on the CRC counts: the time stamp."""
 IMU_DATA, MILLIMETRES, CENTIMETRES, SPHERICAL = range(4)
 """Kinds of data."""
 LAYOUTS = {
@@ -34,16 +40,38 @@ G = 9.80665
 """m/s2: its accelerometer measures in g."""
 MID_360 = Mounting(np.eye(3), np.array((-0.011, -0.02329, 0.04412)), np.radians(0.2), 0.002)
 """Of a Mid-360 on its own inertial sensor: that is at (11.0, 23.29, -44.12) mm in the lidar."""
+PERIOD_NS = 100_000_000
+"""Of a scan, as the lidar's own driver has it."""
+TANGLED = 10
+"""Scans by which a datagram may come too late; older ones are of a clock that was set back."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class Refusal(str, Enum):
+    """Why a datagram is not used."""
+
+    CUT = "cut off, or of another program"
+    CRC = "wrong CRC"
+    KIND = "of an unknown kind"
+    NUMBERS = "with a time or a number that cannot be"
+
+
+@dataclass(frozen=True, slots=True)
 class Points:
-    """The points of a datagram."""
+    """The points of a datagram, as they came."""
 
-    t_ns: Stamps
-    """The lidar's clock, shape (n,)."""
-    points: Array
-    """m, shape (n, 3), forward, left, up; 0 0 0 where nothing returned."""
+    t_ns: int
+    """Of the first one, the lidar's clock."""
+    span_ns: int
+    count: int
+    number: int
+    """Counted from datagram to datagram, modulo 2**16; some models begin each frame at 0."""
+    kind: int
+    data: bytes
+
+    @property
+    def end_ns(self) -> int:
+        """Return when the last point was measured, at the latest."""
+        return self.t_ns + self.span_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,34 +84,56 @@ class Inertial:
     """rad/s, shape (3,)."""
     accel: Array
     """m/s2, shape (3,)."""
+    check: int
+    """Its CRC, which tells a repeated datagram from another one of the same time."""
 
 
-def decode(datagram: bytes) -> Points | Inertial | None:
-    """Return what a datagram holds, or None if it is none of a Livox, damaged or of another kind.
-
-    The CRC is not compared: UDP has one of its own.
-    """
+def decode(datagram: bytes) -> Points | Inertial | Refusal:
+    """Return what a datagram holds, or why it is not used."""
     if len(datagram) < HEAD.size:
-        return None
-    _, length, interval, count, _, _, kind, _, _, t_ns = HEAD.unpack_from(datagram)
+        return Refusal.CUT
+    version, length, interval, count, number, _, kind, _, check, t_ns = HEAD.unpack_from(datagram)
     layout = LAYOUTS.get(kind)
-    if layout is None or length > len(datagram) or not 0 < t_ns < 1 << 63:
-        return None
+    if version != 0 or length != len(datagram):
+        return Refusal.CUT
+    if crc32(memoryview(datagram)[CHECKED:]) != check:
+        return Refusal.CRC
+    if layout is None:
+        return Refusal.KIND
+    if not 0 < t_ns < 1 << 62:
+        return Refusal.NUMBERS
     if kind == IMU_DATA:
         count = 1
     if count == 0 or HEAD.size + count * layout.itemsize > length:
-        return None
-    rows = np.frombuffer(datagram, layout, count, HEAD.size)
-    if kind == IMU_DATA:
-        gyro, accel = rows[0]["gyro"].astype(np.float64), rows[0]["accel"].astype(np.float64)
-        if not (np.isfinite(gyro).all() and np.isfinite(accel).all()):
-            return None
-        return Inertial(t_ns, gyro, accel * G)
-    times = t_ns + np.arange(count, dtype=np.int64) * (interval * 100) // count
-    return Points(times, _metres(kind, rows))
+        return Refusal.CUT
+    if kind != IMU_DATA:
+        end = HEAD.size + count * layout.itemsize
+        return Points(t_ns, interval * 100, count, number, kind, datagram[HEAD.size : end])
+    row = np.frombuffer(datagram, layout, 1, HEAD.size)[0]
+    gyro, accel = row["gyro"].astype(np.float64), row["accel"].astype(np.float64)
+    if not (np.isfinite(gyro).all() and np.isfinite(accel).all()):
+        return Refusal.NUMBERS
+    return Inertial(t_ns, gyro, accel * G, check)
 
 
-def _metres(kind: int, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> Array:
+def scan_of(packets: Sequence[Points], base_ns: int) -> Scan:
+    """Return the returned points of some datagrams, at times in s since ``base_ns``."""
+    times: Stamps = np.concatenate(
+        [one.t_ns + np.arange(one.count) * one.span_ns // one.count for one in packets]
+    )
+    points = np.concatenate(
+        [
+            _metres(kind, b"".join(one.data for one in group))
+            for kind, group in groupby(packets, lambda one: one.kind)
+        ]
+    )
+    stamp = int(times.min())
+    returned = points.any(axis=1)
+    return Scan((stamp - base_ns) / 1e9, points[returned], (times[returned] - stamp) / 1e9)
+
+
+def _metres(kind: int, data: bytes) -> Array:
+    rows = np.frombuffer(data, LAYOUTS[kind])
     if kind == SPHERICAL:
         polar, azimuth = np.radians(rows["angles"].astype(np.float64) * 0.01).T
         flat = np.sin(polar)
@@ -99,32 +149,52 @@ def _metres(kind: int, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> Array
 class Assembler:
     """Collects datagrams to scans of a period: a Livox has no turn that would end one."""
 
-    period_ns: int = 100_000_000
-    _waiting: list[Points] = field(default_factory=list)
-    _begin: int = 0
+    period_ns: int = PERIOD_NS
+    lost: int = 0
+    """Datagrams that the count says were sent and did not come."""
     late: int = 0
     """Datagrams of a scan that was handed out already: left out."""
+    repeated: int = 0
+    """Datagrams that came twice: left out."""
+    _waiting: dict[int, Points] = field(default_factory=dict)
+    """By their times."""
+    _slot: int = 0
+    _number: int | None = None
+    _newest_ns: int = 0
 
-    def add(self, points: Points) -> Iterator[Scan]:
-        """Take a datagram, and return the scan that it ends, if it does."""
-        t_ns = int(points.t_ns[0])
-        slot = t_ns // self.period_ns
-        if slot < self._begin:
-            # A clock that was set back by more than a few scans begins anew
-            if self._begin - slot <= 10:
-                self.late += 1
-                return
+    def add(self, points: Points) -> list[Points]:
+        """Take a datagram; return those of the scan that it ends, in the order of their times."""
+        slot = points.t_ns // self.period_ns
+        if points.t_ns in self._waiting:
+            self.repeated += 1
+            return []
+        if 0 < self._slot - slot <= TANGLED:
+            self.late += 1
+            return []
+        ended: list[Points] = []
+        if slot > self._slot:
+            ended = [self._waiting[t_ns] for t_ns in sorted(self._waiting)]
+        if slot != self._slot:  # ended, or of a clock that was set back
             self._waiting.clear()
-        if slot != self._begin:
-            if self._waiting:
-                yield self._join()
-            self._begin = slot
-        self._waiting.append(points)
+            self._slot = slot
+        self._count(points)
+        self._waiting[points.t_ns] = points
+        return ended
 
-    def _join(self) -> Scan:
-        times = np.concatenate([one.t_ns for one in self._waiting])
-        points = np.concatenate([one.points for one in self._waiting])
+    def forget(self) -> None:
+        """Forget the datagrams of a scan that has not ended."""
         self._waiting.clear()
-        stamp = int(times.min())
-        returned = points.any(axis=1)
-        return Scan(stamp / 1e9, points[returned], (times[returned] - stamp) / 1e9)
+        self._slot, self._number, self._newest_ns = 0, None, 0
+
+    def _count(self, points: Points) -> None:
+        """Count what is missing between this datagram and the last one."""
+        number, last = points.number, self._number
+        if points.t_ns < self._newest_ns:
+            self.lost = max(self.lost - 1, 0)  # it was overtaken, not lost
+            return
+        self._newest_ns, self._number = points.t_ns, number
+        if last is None or number in (0, last):
+            return
+        ahead = (number - last) & 0xFFFF
+        # What seems to be behind has begun to count anew
+        self.lost += ahead - 1 if ahead < 1 << 15 else number

@@ -50,12 +50,9 @@ SCALE_TIME = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class Samples(InertialSamples):
     """Inertial samples, with what is wrong with them."""
 
-    stamp: Array
-    gyro: Array
-    accel: Array
     is_clipped: Mask
     """Shape (n, 6): at the end of its range; gyro first."""
     step: float
@@ -65,7 +62,9 @@ class Samples:
 
 
 def prepare(inertial: InertialSamples) -> Samples:
-    """Find the samples that are at the end of their range."""
+    """Find the samples that are at the end of their range; not where it is known already."""
+    if isinstance(inertial, Samples):
+        return inertial
     both = np.hstack([inertial.gyro, inertial.accel])
     is_clipped = np.zeros(both.shape, dtype=np.bool_)
     least = np.repeat([LEAST_RATE_RANGE, LEAST_FORCE_RANGE], 3)

@@ -58,8 +58,10 @@ class Estimate:
     state: State
     P: Array
     """Of the error state without the anchors, shape (27, 27)."""
+    travelled: RelativePose | None
+    """Since the pose that was marked last; None: this is the first."""
     relative: RelativePose | None
-    """Since the last anchor, where this pose became one."""
+    """The same, where this pose is marked."""
     match: Match | None
     """None: no point was matched."""
     clipped: int
@@ -118,6 +120,10 @@ class Odometry:
         self._time = 0.0
         """Of the state, inertial clock, s."""
 
+    def hear(self, samples: Samples) -> None:
+        """Take the inertial samples anew: up to the end of the next scan, and one after it."""
+        self._samples = samples
+
     def process(self, scan: Scan) -> list[Estimate]:
         """Take the next scan; return the new estimates: none before the start is found."""
         if self._is_started:
@@ -159,11 +165,13 @@ class Odometry:
             update, path = self._advance(part, until)
             clipped, lost = clipped + path.clipped, lost + path.lost
             evaluations += update.evaluations
+        travelled = self._travelled(end_l)
         return Estimate(
             stamp=end_l,
             state=self.x,
             P=self.P[:N, :N] + self._alignment**2 * _square(by_axes(self.x)),
-            relative=self._mark(end_l),
+            travelled=travelled,
+            relative=travelled if self._mark(end_l) else None,
             match=None if update is None or update.sums is None else update.sums.match,
             clipped=clipped,
             lost=lost,
@@ -315,18 +323,21 @@ class Odometry:
             if one.number in owned:
                 self.map.forget_owner(one.number)
 
-    def _mark(self, stamp: float) -> RelativePose | None:
-        """Return the pose relative to the marked one where that is old enough, and mark this."""
-        if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
+    def _travelled(self, stamp: float) -> RelativePose | None:
+        """Return the present pose relative to the marked one; None: none is."""
+        if self._marked is None:
             return None
-        relative = None
-        if self._marked is not None:
-            relative = relative_pose(*self._marked, stamp, self.x, self.P, self._alignment)
+        return relative_pose(*self._marked, stamp, self.x, self.P, self._alignment)
+
+    def _mark(self, stamp: float) -> bool:
+        """Mark the pose where the marked one is old enough; return whether it is."""
+        if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
+            return False
         at = slice(N, N + POSE)
         self.P[at] = self.P[:POSE]
         self.P[:, at] = self.P[:, :POSE]
         self._marked = (stamp, self.x)
-        return relative
+        return True
 
 
 def relative_pose(

@@ -15,6 +15,7 @@ and of several clocks it keeps the one with most rows.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 BACK_US = 2_000_000
@@ -29,6 +30,8 @@ LONG_US = 10_000_000
 step believed at once."""
 GAP_US = 3_600_000_000
 """A leap of more than an hour is another clock, not a gap."""
+SKEW = 100e-6
+"""By so much of the time two clocks may run apart."""
 SHORT = 1 << 32
 """Counts of 32 bits go round: 71.6 minutes of microseconds, 49.7 days of milliseconds."""
 
@@ -56,3 +59,16 @@ def rounds(stamp: Any, reference: Any, period: int, far: int) -> Any:
     """
     count = (reference - stamp + period // 2) // period
     return count * (abs(stamp + count * period - reference) <= far)
+
+
+def least_lag(last: int, lag: int, elapsed: int) -> int:
+    """Return by how much stamps lag behind arrivals if nothing delays them.
+
+    The least that was seen is nearest: what comes late, or waits, lags more.
+
+    Args:
+        last: What was found by now.
+        lag: That of a stamp that has just come, in the same unit.
+        elapsed: Time since the one before, in which the clocks may have run apart.
+    """
+    return min(last + math.ceil(SKEW * max(elapsed, 0)), lag)

@@ -22,6 +22,7 @@ from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.direction import levelled
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.nav.relative_pose import drift_by_tilt
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.pose_match import (
     DECISIVE,
@@ -36,8 +37,6 @@ from ekf_companion.replay.read import read as read_log
 
 MATCHED = 0.01
 """One sigma of a delay that was found so, s."""
-LASTS = 60.0
-"""Time over which a tilt of the source's world adds up, s: as long as outages usually are."""
 TURNS = 0.05
 """Rates beyond those of a hover, rad/s, root mean square: turns that must agree."""
 AGREES = 0.25
@@ -194,11 +193,8 @@ def _in_n(
     """Return the drift since the pose before: factor of that of the way, and sigma of yaw."""
     seconds = np.diff(poses.t_ns, prepend=poses.t_ns[0]) * 1e-9
     way = to_n @ drift.way @ to_n.T * seconds[:, None, None]
-    # A world that is tilted rises all the time: as a walk over so long
     level = np.linalg.norm(np.diff(place[:, :2], axis=0, prepend=place[:1, :2]), axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        speed = np.where(seconds > 0.0, level / seconds, 0.0)
-    way[:, 2, 2] += tilt * tilt * speed * speed * LASTS * seconds
+    way[:, 2, 2] += drift_by_tilt(tilt, level, seconds)
     values, vectors = np.linalg.eigh(way)
     root = np.sqrt(np.maximum(values, 0.0))[:, None, :] * vectors
     upper = np.asarray(np.linalg.qr(root.transpose(0, 2, 1), mode="r"))

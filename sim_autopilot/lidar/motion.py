@@ -8,8 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_autopilot.lidar.worlds import Array
+from sim_autopilot.truth import Trajectory
 
 GRAVITY = 9.80665
+_TO_UP = np.array([1.0, -1.0, -1.0])
+"""From forward, right, down or north, east, down to z up: places and angles alike."""
 _STEP = 1e-3
 """s, of central differences: the motions are smooth, so that they are exact to 1e-6 m/s2."""
 
@@ -143,10 +146,21 @@ def orbit(radius: float, height: float, speed: float) -> Callable[[Array], tuple
     return pose
 
 
+def of_trajectory(trajectory: Trajectory) -> Motion:
+    """Return the motion of a flight of the fake autopilot: north, west, up of its home."""
+
+    def pose(t: Array) -> tuple[Array, Array]:
+        true = trajectory.at(np.clip(t, 0.0, None))
+        return true.pos_n * _TO_UP, true.euler * _TO_UP
+
+    return Motion(pose)
+
+
 MOTIONS = {
     "room": Motion(walk),
     "street": Motion(drive),
     "forest": Motion(orbit(20.0, 3.0, 3.0)),
     "tunnel": Motion(crawl),
     "plain": Motion(orbit(25.0, 6.0, 4.0)),
+    "hall": Motion(orbit(12.0, 5.0, 3.0)),
 }

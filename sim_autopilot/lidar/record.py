@@ -114,7 +114,12 @@ def simulate(
 
 def usual_lidar(world: str, beams: Beams | None = None) -> Lidar:
     """Return a lidar as it would be mounted in a world: tilted to the ground on a drone."""
-    usual = {"street": "spin32", "forest": "rosette", "plain": "spin32"}.get(world, "spin16")
+    usual = {
+        "street": "spin32",
+        "forest": "rosette",
+        "plain": "spin32",
+        "hall": "rosette",
+    }.get(world, "spin16")
     tilt = {"plain": 20.0, "forest": 12.0}.get(world, 0.0)
     rotation = from_euler(np.array([[0.0, np.radians(tilt), 0.0]]))[0]
     return Lidar(beams or BEAMS[usual], rotation)

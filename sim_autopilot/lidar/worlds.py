@@ -225,10 +225,25 @@ def plain(rng: np.random.Generator) -> World:
     )
 
 
+def hall(rng: np.random.Generator) -> World:
+    """Return a hall of 80 by 60 m, 22 m high, with containers at its walls."""
+    count = 16
+    angle = np.sort(rng.uniform(0, 2 * np.pi, count))
+    containers = _standing(
+        33.0 * np.cos(angle),
+        24.0 * np.sin(angle),
+        rng.uniform(1.2, 4.0, (count, 2)),
+        rng.uniform(2.5, 14.0, count),
+    )
+    shell = _boxes((-40.0, -30.0, 0.0, 40.0, 30.0, 22.0))
+    return World(np.concatenate((shell, containers)), is_room=True)
+
+
 WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
     "room": room,
     "street": street,
     "forest": forest,
     "tunnel": tunnel,
     "plain": plain,
+    "hall": hall,
 }

@@ -115,6 +115,73 @@ def test_a_velocity_is_in_its_child_frame(child, found, is_level):
     assert (velocity.x, velocity.y, velocity.z, velocity.is_level) == (*found, is_level)
 
 
+def triangle(way, turn=0.01):
+    """Return the upper triangle of a covariance of a place, m^2, and of yaw, rad^2."""
+    whole = np.zeros((6, 6))
+    whole[:3, :3], whole[5, 5] = way, turn
+    return whole[np.triu_indices(6)].tolist()
+
+
+def drifts(stated, **fields):
+    """Return the covariance of the drift of each pose, and sigma of its yaw's; None: none."""
+    link, found = Link(), []
+    for k, (one, counter) in enumerate(stated):
+        link.go(0.1)
+        said = {"x": float(k), "pose_covariance": one, "reset_counter": counter, **fields}
+        pose, *_ = link.hear("ODOMETRY", **ODOMETRY | said)
+        P = None
+        if pose.drift is not None:
+            L = np.zeros((3, 3))
+            L[np.tril_indices(3)] = pose.drift
+            P = L @ L.T
+        found.append((P, pose.yaw_drift))
+    return found
+
+
+def test_by_what_its_covariance_grows_a_source_may_have_drifted():
+    first = np.diag([0.04, 0.04, 0.09])
+    way = np.array([[0.02, 0.01, 0.0], [0.01, 0.03, -0.005], [0.0, -0.005, 0.001]])
+    stated = [triangle(first), triangle(first + way, 0.0104), triangle(first + way, 0.0104)]
+    begin, grown, same = drifts([(one, 7) for one in stated])
+    assert begin == (None, None)
+    np.testing.assert_allclose(grown[0], way, atol=1e-8)  # float32
+    assert same[0] is None or np.abs(same[0]).max() < 1e-15
+    assert same[1] is None
+    assert grown[1] == pytest.approx(0.02, rel=1e-3)
+
+
+def test_what_shrinks_between_does_not_count_twice():
+    level = [0.04, 0.05, 0.045, 0.05, 0.06]
+    found = drifts([(triangle(np.eye(3) * one), 7) for one in level])
+    total = sum(P[0, 0] for P, _ in found if P is not None)
+    assert total == pytest.approx(0.02, rel=1e-4)
+    # along one axis it may grow while it shrinks along the others
+    ways = [np.diag([1.0, 1.0, 1.0]), np.diag([2.0, 0.5, 0.5])]
+    _, (P, _) = drifts([(triangle(way), 7) for way in ways])
+    np.testing.assert_allclose(P, np.diag([1.0, 0.0, 0.0]), atol=1e-6)
+
+
+def test_a_source_that_begins_anew_has_not_drifted():
+    level = [(0.04, 7), (4.0, 8), (0.01, 8), (0.02, 8)]
+    found = drifts([(triangle(np.eye(3) * one), counter) for one, counter in level])
+    assert [P is None for P, _ in found] == [True, True, True, False]
+    assert found[3][0][0, 0] == pytest.approx(0.01, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "wrong", [[NAN] * 21, [0.0] * 21, triangle(np.eye(3))[:11] + [NAN] + [0.0] * 9]
+)
+def test_a_source_that_states_none_has_not_said_that_it_drifts(wrong):
+    found = drifts([(wrong, 7), (wrong, 7), (triangle(np.eye(3)), 7)])
+    assert found == [(None, None)] * 3
+
+
+def test_the_drift_is_along_the_axes_of_a_frame_whose_z_points_down():
+    ways = [np.eye(3), np.eye(3) + np.outer((3.0, 2.0, 1.0), (3.0, 2.0, 1.0))]
+    _, (P, _) = drifts([(triangle(way), 7) for way in ways], frame_id=4)  # east, north, up
+    np.testing.assert_allclose(P, np.outer((2.0, 3.0, -1.0), (2.0, 3.0, -1.0)), atol=1e-5)
+
+
 @pytest.mark.parametrize("frame", [0, 3, 9])
 def test_a_frame_that_is_none_of_them_is_refused(frame):
     link = Link()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.nav.stamps import BACK_US, GAP_US, LONG_US, SHORT, goes_on, rounds
+from ekf_companion.nav.stamps import BACK_US, GAP_US, LONG_US, SHORT, goes_on, least_lag, rounds
 
 AROUND = [-BACK_US - 1, -BACK_US, -1, 0, LONG_US, LONG_US + 1, GAP_US, GAP_US + 1]
 
@@ -22,3 +22,20 @@ def test_the_rounds_of_a_counter_are_found_by_a_stamp_near_to_it():
     found = [rounds(one, other, SHORT, 100) for one, other in zip(near, reference, strict=True)]
     assert found == expected
     assert rounds(np.array(near), np.array(reference), SHORT, 100).tolist() == expected
+
+
+def test_the_least_lag_is_that_of_what_nothing_has_delayed():
+    rng, found = np.random.default_rng(2), 10**12
+    for k in range(
+        2000
+    ):  # every 5 ms, in ns; the other clock is 50 ppm fast, and starts 7 s behind
+        true = 7_000_000_000 - 250 * k
+        found = least_lag(found, true + 300_000 + int(rng.exponential(2e6)), 5_000_000)
+    assert abs(found - true - 300_000) < 200_000
+
+
+def test_of_a_clock_that_runs_slow_the_lag_grows():
+    found = 0
+    for k in range(1, 1000):
+        found = least_lag(found, 400 * k, 5_000_000)
+    assert found == 400 * 999

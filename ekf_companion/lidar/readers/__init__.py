@@ -5,6 +5,7 @@ sequence    lidar.npz, imu.npz and calib.json in one folder
 bag         ROS 1, and ROS 2 as .db3 and .mcap
 folder      .pcd or .npz files with imu.csv
 pcap        packets of Ouster and Velodyne
+livox       packets of a Livox, whose scans are those of `run-lidar`, with nothing to be decided
 survey      one pass over the scans: numbers of each
 timing, inertial, motion   decisions: stamps and times; samples; whether lidar and gyro agree
 doppler, doppler_fit   whether velocities by a radar's radial speeds and the samples agree
@@ -19,10 +20,13 @@ from ekf_companion.errors import LogError
 from ekf_companion.lidar.readers.bag import open_bag
 from ekf_companion.lidar.readers.folder import is_folder, open_folder
 from ekf_companion.lidar.readers.judge import judge
+from ekf_companion.lidar.readers.livox import is_livox, read_livox
 from ekf_companion.lidar.readers.pcap import open_pcap
 from ekf_companion.lidar.readers.sequence import open_sequence
 from ekf_companion.lidar.readers.source import Source
 from ekf_companion.lidar.recording import Mounting, Recording
+
+CAPTURES = (".pcap", ".pcapng")
 
 
 def read(
@@ -52,7 +56,10 @@ def read(
         LogError: It cannot be read, or nothing can be estimated from it.
         MissingPackageError: The package that reads its form is not installed.
     """
-    return judge(_open(Path(path), lidar, imu), mounting, stamp, by_doppler, most_speed)
+    path = Path(path)
+    if path.suffix in CAPTURES and path.is_file() and is_livox(path):
+        return read_livox(path, mounting)
+    return judge(_open(path, lidar, imu), mounting, stamp, by_doppler, most_speed)
 
 
 def _open(path: Path, lidar: str | None, imu: str | None) -> Source:
@@ -62,7 +69,7 @@ def _open(path: Path, lidar: str | None, imu: str | None) -> Source:
         return open_sequence(path)
     if path.suffix in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file():
         return open_bag(path, lidar, imu)
-    if path.suffix == ".pcap":
+    if path.suffix in CAPTURES:
         return open_pcap(path, imu)
     if is_folder(path):
         return open_folder(path)

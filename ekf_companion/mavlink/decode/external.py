@@ -19,11 +19,14 @@ import numpy as np
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Measurements
+from ekf_companion.mavlink.decode.growth import Growth
 from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import AnchorSample, Kind, PoseSample, VelocitySample
+from ekf_companion.nav.relative_pose import square
+from ekf_companion.nav.stamps import least_lag
 
 Axes = tuple[tuple[int, float], ...]
 """Which axis of another frame, and with which sign, is x, y, z of one whose z points down."""
@@ -51,8 +54,6 @@ _SAME_US = 1_000_000
 _AHEAD_US = 10_000
 """So far ahead of ours a clock on this board may be: ours is set once at the start, the other as
 the network says."""
-_SKEW = 100e-6
-"""By so much of the time two clocks may run apart."""
 _SURE = 100.0
 """Highest confidence, per cent."""
 _SPAN_US = 1_000_000
@@ -60,6 +61,8 @@ _SPAN_US = 1_000_000
 _DELTA_STD = 0.1, 0.9
 """One sigma of a velocity by such a difference at full and at no confidence, m/s (EK3_VIS_VERR_MIN,
 EK3_VIS_VERR_MAX)."""
+_STATED, _YAW = [0, 1, 2, 6, 7, 11, 20], 20
+"""Places of the covariances of the place and of yaw in the upper triangle of a pose's."""
 _SENDERS = 16
 """Told apart, at most."""
 RANGES = frozenset([IDS["RANGING_BEACON"]])
@@ -90,8 +93,7 @@ class _OurClock:
         """
         offset = latest_us - now_us
         if self._offset is not None and abs(offset - self._offset) <= _SAME_US:
-            drift = math.ceil(_SKEW * max(now_us - self._last, 0))
-            offset = max(offset, self._offset - drift)
+            offset = -least_lag(-self._offset, -offset, now_us - self._last)
         self._offset, self._last = offset, now_us
         return offset
 
@@ -121,8 +123,7 @@ class _Clock:
         if self._offset is None or abs(lag - self._offset) > _SAME_US:
             self._offset = lag  # the first of it, or of a clock that has leapt
         else:
-            drift = math.ceil(_SKEW * max(stamp_us - self._last, 0))
-            self._offset = min(self._offset + drift, lag)
+            self._offset = least_lag(self._offset, lag, stamp_us - self._last)
         self._is_known, self._last = True, stamp_us
         return (stamp_us + self._offset) * 1000
 
@@ -153,6 +154,7 @@ class External:
         """Forget everything after a reboot."""
         self._senders: list[tuple[int, int, int]] = []
         self._clocks: dict[tuple[int, int], _Clock] = {}
+        self._growths: dict[tuple[int, int, int], Growth] = {}
         self._ours = _OurClock()
         self._sources = {kind: Preference() for kind in _KINDS.values()}
         self.used.clear()
@@ -188,6 +190,7 @@ class External:
                 ours_us = stamp_us + offset
         clock = self._clocks.setdefault(source[:2], _Clock())
         t_ns = clock.to_ns(stamp_us, latest_us, ours_us)
+        self._growth = self._growths.setdefault(source, Growth())
         found = reader(message, t_ns)
         rank = self._senders.index(source)
         return [one for one in found if self._admit(one, rank, source)]
@@ -284,6 +287,16 @@ class External:
         x, y, z = (sign * place[axis] for axis, sign in axes)
         if not math.isfinite(x + y + z):
             return []
+        counter = getattr(m, "reset_counter", None)
+        std = _std(covariance, (0, 6, 11))
+        stated = np.array(covariance)
+        drift, yaw_drift = None, None
+        if std is not None and np.isfinite(stated[_STATED]).all():
+            T = np.zeros((3, 3))
+            for row, (axis, sign) in enumerate(axes):
+                T[row, axis] = sign
+            way = T @ square(stated)[:3, :3] @ T.T
+            drift, yaw_drift = self._growth.since(way, float(stated[_YAW]), counter)
         return [
             PoseSample(
                 t_ns=t_ns,
@@ -291,8 +304,10 @@ class External:
                 y=y,
                 z=z,
                 yaw=yaw,
-                std=_std(covariance, (0, 6, 11)),
-                counter=getattr(m, "reset_counter", None),
+                std=std,
+                counter=counter,
+                yaw_drift=yaw_drift,
+                drift=drift,
             )
         ]
 

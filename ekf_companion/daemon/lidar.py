@@ -1,0 +1,311 @@
+"""The process of a lidar: its datagrams in, its odometry to the daemon as ODOMETRY.
+
+One loop receives; a thread beside it takes one scan after the other. What a scan costs delays
+nobody: neither a datagram here, nor the daemon, which is a process of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import signal
+import socket
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ekf_companion.arrays.board import Board
+from ekf_companion.daemon import logging as log
+from ekf_companion.daemon.loop import run_loop
+from ekf_companion.daemon.systemd import Systemd
+from ekf_companion.errors import LinkError
+from ekf_companion.lidar.live import Live, Pose
+from ekf_companion.lidar.livox import IMU_PORT, MID_360, POINT_PORT
+from ekf_companion.lidar.livox_command import COMMAND_PORT, HOST_PORT, configure, read_answer
+from ekf_companion.lidar.recording import Mounting
+from ekf_companion.lidar.settings import Settings
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+
+if sys.version_info >= (3, 11):
+    from asyncio import TaskGroup
+else:
+    from taskgroup import TaskGroup
+
+_log = logging.getLogger(__name__)
+
+TICK = 1.0
+"""Seconds from one look at the state to the next."""
+SILENT_NS = 2_000_000_000
+"""Without a datagram for so long the lidar is told anew to send: it may have been switched off."""
+STUCK_NS = 5_000_000_000
+"""A scan that takes so long stops the watchdog's signal: a start takes a tenth of that."""
+RECEIVE_BUFFER = 4 << 20
+"""Bytes asked of the kernel for each socket: a second of a Mid-360."""
+READS = 64
+"""Datagrams that are read before the loop does something else: 30 ms of a Mid-360."""
+LARGEST = 2048
+FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
+_TURNED = np.kron(np.eye(2), FLU_TO_FRD)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarOptions:
+    """Which lidar, how it is mounted, and where its odometry goes."""
+
+    lidar: str
+    """Its numeric address; from no other one a datagram is used."""
+    command_port: int = COMMAND_PORT
+    """Of the lidar."""
+    listen: str = "0.0.0.0"
+    """The address here."""
+    point_port: int = POINT_PORT
+    imu_port: int = IMU_PORT
+    host_port: int = HOST_PORT
+    """Of the commands, here."""
+    is_configured: bool = True
+    """Whether it is told to send, and where to."""
+    aid_host: str = "127.0.0.1"
+    aid_port: int = 14560
+    """Of the daemon's ``link.aid_url``."""
+    system_id: int = 240
+    mounting: Mounting = MID_360
+    """Of the lidar on its inertial sensor."""
+    on_vehicle: Array = field(default_factory=lambda: np.eye(3))
+    """Inertial sensor to vehicle, both forward, left, up, shape (3, 3)."""
+    settings: Settings = field(default_factory=Settings)
+
+
+def run(options: LidarOptions) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    Raises:
+        LinkError: A port here is taken, or an address is none of this computer's.
+        CompanionError: A bug; its traceback is in the log.
+    """
+    run_loop(_serve(options))
+
+
+async def _serve(options: LidarOptions) -> None:
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    with LidarProcess(options) as process:
+        async with TaskGroup() as group:
+            tasks = [group.create_task(process.estimate()), group.create_task(process.watch())]
+            await stop.wait()
+            for task in tasks:
+                task.cancel()
+    log.flush(is_end=True)
+    _log.info("Stopped")
+
+
+class LidarProcess:
+    """The sockets and the state of one lidar."""
+
+    def __init__(self, options: LidarOptions) -> None:
+        """Open the ports; raise what ``run`` does."""
+        self.options = options
+        self.live = Live(options.mounting, options.settings)
+        self.sent = 0
+        self.foreign: Counter[str] = Counter()
+        """Datagrams of other addresses."""
+        self.cost = 0.0
+        """Of a scan, the mean of the last ten or so, s."""
+        self._begun_ns: int | None = None
+        """When the scan that is being processed was begun; None: none is."""
+        self._systemd = Systemd()
+        self._sockets = contextlib.ExitStack()
+        self._ready = asyncio.Event()
+        self._heard_ns = 0
+        """When the last datagram was used, monotonic; 0: none was."""
+        self._is_sending = False
+        self._number = 0
+        self._answer: str | None = None
+        self._said: Counter[str] = Counter()
+        self._world = 0
+        # Another one than before a restart, so that the daemon knows of a new frame
+        self._first_frame = time.time_ns() // 1_000_000_000 % 256
+
+    def __enter__(self) -> LidarProcess:
+        options, loop = self.options, asyncio.get_running_loop()
+        try:
+            self._board = self._sockets.enter_context(
+                Board(options.aid_port, host=options.aid_host, system_id=options.system_id)
+            )
+            for port in (options.point_port, options.imu_port):
+                ours = self._open(port)
+                loop.add_reader(ours, self._on_data, ours)
+                self._sockets.callback(loop.remove_reader, ours)
+            self._commands = self._open(options.host_port)
+            loop.add_reader(self._commands, self._on_answer)
+            self._sockets.callback(loop.remove_reader, self._commands)
+        except BaseException:
+            self._sockets.close()
+            raise
+        _log.info(
+            "Lidar %s: waiting for it at ports %d and %d; its odometry goes to %s port %d",
+            options.lidar,
+            options.point_port,
+            options.imu_port,
+            options.aid_host,
+            options.aid_port,
+        )
+        self._systemd.notify("READY=1")
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._systemd.notify("STOPPING=1")
+        self._sockets.close()
+
+    def _open(self, port: int) -> socket.socket:
+        ours = self._sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        ours.setblocking(False)
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        try:
+            ours.bind((self.options.listen, port))
+        except OSError as error:
+            what = "taken by another program: stop it, or name others with --ports"
+            if error.errno != errno.EADDRINUSE:
+                what = error.strerror or str(error)
+            raise LinkError(f"{self.options.listen} port {port}: {what}") from None
+        return ours
+
+    def _on_data(self, ours: socket.socket) -> None:
+        now_ns = time.monotonic_ns()
+        for _ in range(READS):
+            try:
+                data, sender = ours.recvfrom(LARGEST)
+            except OSError:  # nothing more, or what the other end has refused
+                break
+            if sender[0] != self.options.lidar:
+                self.foreign[sender[0]] += 1
+                continue
+            if self.live.receive(data, now_ns):
+                self._heard_ns = now_ns
+        if self.live.is_ready:
+            self._ready.set()
+
+    def _on_answer(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                data, sender = self._commands.recvfrom(LARGEST)
+                if sender[0] != self.options.lidar:
+                    self.foreign[sender[0]] += 1
+                elif (answer := read_answer(data, self._number)) is not None:
+                    self._on_configured(answer)
+
+    def _on_configured(self, answer: str) -> None:
+        if answer == self._answer:
+            return
+        self._answer = answer
+        if answer:
+            _log.warning("Lidar %s: does not take its settings: %s", self.options.lidar, answer)
+        else:
+            _log.info("Lidar %s: is told to send", self.options.lidar)
+
+    async def estimate(self) -> None:
+        """Take each scan as it comes, and send what is found."""
+        while True:
+            await self._ready.wait()
+            self._ready.clear()
+            while (job := self.live.take()) is not None:
+                self._begun_ns = time.monotonic_ns()
+                poses = await asyncio.to_thread(self.live.process, job)
+                spent = (time.monotonic_ns() - self._begun_ns) * 1e-9
+                self._begun_ns = None
+                self.cost += 0.1 * (spent - self.cost)
+                if poses:  # those of a start are a second old, but for the last
+                    self._send(poses[-1])
+
+    def _send(self, pose: Pose) -> None:
+        if pose.world != self._world:
+            why = self.live.collector.why
+            if self._world:
+                _log.warning("Lidar: begins anew: %s", why or "no scans for long")
+            else:
+                _log.info("Lidar: the start is found")
+            self._world = pose.world
+        place = FLU_TO_FRD @ pose.pos
+        C = FLU_TO_FRD @ pose.C @ self.options.on_vehicle.T @ FLU_TO_FRD
+        P = _TURNED @ pose.P @ _TURNED
+        unix_ns = pose.ours_ns + time.time_ns() - time.monotonic_ns()
+        with contextlib.suppress(OSError):  # the daemon is not there, for now
+            self._board.send(
+                t=unix_ns,
+                position=place,
+                q=so3.from_matrix(C),
+                pose_covariance=0.5 * (P + P.T),
+                reset_counter=self._first_frame + pose.world,
+            )
+            self.sent += 1
+
+    async def watch(self) -> None:
+        """Tell the lidar to send while it does not, and say what changes."""
+        while True:
+            now_ns = time.monotonic_ns()
+            is_sending = self._heard_ns > 0 and now_ns - self._heard_ns < SILENT_NS
+            if is_sending != self._is_sending:
+                self._is_sending = is_sending
+                words = "sends" if is_sending else "is silent"
+                _log.log(
+                    logging.INFO if is_sending else logging.WARNING,
+                    "Lidar %s: %s",
+                    self.options.lidar,
+                    words,
+                )
+            if not is_sending and self.options.is_configured:
+                self._configure()
+            self._say_what_grew()
+            if self._begun_ns is None or now_ns - self._begun_ns < STUCK_NS:
+                self._systemd.beat(now_ns)
+            self._systemd.status(self.describe())
+            log.flush()
+            await asyncio.sleep(TICK)
+
+    def _configure(self) -> None:
+        """Tell the lidar to sample and to send here, by the address that it sees."""
+        options = self.options
+        self._number += 1
+        with contextlib.suppress(OSError):  # no route yet
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.connect((options.lidar, options.command_port))
+                host = probe.getsockname()[0]
+            said = configure(self._number, host, options.point_port, options.imu_port)
+            self._commands.sendto(said, (options.lidar, options.command_port))
+
+    def counts(self) -> dict[str, int]:
+        """Return what was left out, by the reason."""
+        collector = self.live.collector
+        return {
+            **{f"scans dropped, {why}": count for why, count in self.live.dropped.items()},
+            "datagrams lost": collector.lost,
+            "datagrams too late": collector.late + collector.refused["late sample"],
+            "datagrams repeated": collector.repeated,
+            "datagrams of others": sum(self.foreign.values()),
+            **{
+                f"datagrams {why}": count
+                for why, count in collector.refused.items()
+                if why not in ("late sample", "repeated sample")
+            },
+        }
+
+    def _say_what_grew(self) -> None:
+        for what, count in self.counts().items():
+            if count > self._said[what]:
+                _log.warning("Lidar: %s: %d", what, count, extra={"EKF_REASON": what})
+                self._said[what] = count
+
+    def describe(self) -> str:
+        """Return the state in one line."""
+        state = "sends" if self._is_sending else "silent"
+        left_out = ", ".join(f"{what} {count}" for what, count in self.counts().items() if count)
+        return (
+            f"lidar {state}, {self.live.processed} scans, {1e3 * self.cost:.0f} ms each, "
+            f"{self.sent} poses sent" + (f"; {left_out}" if left_out else "")
+        )
