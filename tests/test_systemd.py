@@ -12,8 +12,11 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from sim_autopilot.autopilot import Kind
+from sim_autopilot.lidar.device import Device
 from tests.daemon.test_daemon import Daemon, Record, fly_over, free_port, plan
-from tests.daemon.waiting import LIMIT
+from tests.daemon.test_run_lidar import MOUNTED, LidarProcess, Listener
+from tests.daemon.waiting import LIMIT, wait_until
+from tests.lidar.recordings import small
 from tests.paths import ROOT
 from tests.sandbox import confine, numbers
 
@@ -189,6 +192,21 @@ def test_the_daemon_lives_under_the_units_filter(tmp_path, allowed):
     assert len(Record(record, daemon.config).of("ODOMETRY")) > 20
     assert (tmp_path / "checkpoint").stat().st_size > 1000
     assert "not permitted" not in daemon.words.read_text()
+
+
+def test_the_lidars_process_lives_under_the_same(tmp_path, allowed):
+    def filters(unit):
+        return settings(unit, "SystemCallFilter")
+
+    assert filters(LIDAR) == filters(PLAIN)
+    with Listener() as daemon, Device(small(), "127.0.0.2") as device:
+        options = (device.command_port, daemon.port, MOUNTED)
+        with LidarProcess(tmp_path, *options, preexec_fn=lambda: confine(allowed)) as lidar:
+            wait_until(lambda: len(daemon.read()) >= 3)
+            maps = Path(f"/proc/{lidar.number}/maps").read_text().splitlines()
+            assert lidar.stop(signal.SIGTERM) == 0
+    assert [line for line in maps if "wx" in line.split()[1]] == []
+    assert "not permitted" not in lidar.words.read_text()
 
 
 def test_the_filter_forbids_what_it_says(allowed):

@@ -29,7 +29,7 @@ LIDAR, OTHER = "127.0.0.2", "127.0.0.3"
 class LidarProcess(Daemon):
     """``ekf-companion run-lidar`` in its own process."""
 
-    def __init__(self, folder, command_port, aid_port, *options, environment=None):
+    def __init__(self, folder, command_port, aid_port, *options, environment=None, **process):
         self.ports = [free_port() for _ in range(3)]
         self.words = folder / "lidar.txt"
         command = [sys.executable, "-W", "error", "-m", "ekf_companion", "run-lidar"]
@@ -45,6 +45,7 @@ class LidarProcess(Daemon):
                 stdout=words,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **(environment or {})},
+                **process,
             )
 
 

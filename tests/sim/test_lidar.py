@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import socket
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from ekf_companion.lidar import livox
+from ekf_companion.lidar.livox_command import configure, read_answer
+from ekf_companion.lidar.readers import read
 from sim_autopilot.__main__ import app
 from sim_autopilot.lidar.motion import GRAVITY
 from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
@@ -146,3 +151,41 @@ def test_the_command_writes_a_recording_and_refuses_another_world(tmp_path):
     assert "doppler" in np.load(tmp_path / "radar/lidar.npz")
     refused = run(app, ["lidar", str(tmp_path / "s"), "--world", "sea"])
     assert refused.exit_code == 2
+
+
+def test_the_command_writes_what_a_livox_sends(tmp_path):
+    done = CliRunner().invoke(app, ["lidar", str(tmp_path / "r.pcap"), "--duration", "2"])
+    assert done.exit_code == 0, done.output
+    assert "a Livox at 192.168.1.150: 19 scans" in read(tmp_path / "r.pcap").decisions[0]
+
+
+def test_a_livox_on_the_network_sends_once_it_is_told_to():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+        ours.bind(("127.0.0.1", 0))
+        port = ours.getsockname()[1]
+    options = ["livox", "127.0.0.2", "--port", str(port), "--duration", "2"]
+    done = []
+    thread = threading.Thread(target=lambda: done.append(CliRunner().invoke(app, options)))
+    thread.start()
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3)]
+    for one in sockets:
+        one.bind(("127.0.0.1", 0))
+        one.settimeout(0.5)
+    points, samples, commands = sockets
+    said = configure(1, "127.0.0.1", *(one.getsockname()[1] for one in (points, samples)))
+    answer = None
+    while answer is None:  # it may not have started yet
+        commands.sendto(said, ("127.0.0.2", port))
+        try:
+            answer, sender = commands.recvfrom(2000)
+        except (TimeoutError, ConnectionRefusedError):
+            continue
+    assert read_answer(answer, 1) == ""
+    assert sender == ("127.0.0.2", port)
+    found = [livox.decode(one.recv(2000)) for one in (points, samples)]
+    assert [type(one) for one in found] == [livox.Points, livox.Inertial]
+    thread.join()
+    for one in sockets:
+        one.close()
+    assert done[0].exit_code == 0, done[0].output
+    assert "datagrams sent" in done[0].output

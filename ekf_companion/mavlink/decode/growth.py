@@ -46,7 +46,7 @@ class Growth:
         root = axes * np.sqrt(np.maximum(values, 0.0))
         grown = max(turn - before[1], 0.0)
         self._counted = before[0] + root @ root.T, before[1] + grown
-        upper = np.linalg.qr(root.T, mode="r")
+        upper = np.asarray(np.linalg.qr(root.T, mode="r"))
         xx, yx, yy, zx, zy, zz = upper.T[_LOWER].tolist()
         factor = (xx, yx, yy, zx, zy, zz) if values[-1] > 0.0 else None
         return factor, math.sqrt(grown) if grown > 0.0 else None
