@@ -10,7 +10,6 @@ import signal
 import socket
 import threading
 import time
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ import pytest
 from ekf_companion.config.config import load_config
 from ekf_companion.review.convert import estimate
 from sim_autopilot import fly as live
-from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults import fault
 from sim_autopilot.flight import Flight
@@ -26,6 +24,7 @@ from sim_autopilot.lidar.device import Device
 from sim_autopilot.lidar.livox import LivoxFaults
 from sim_autopilot.lidar.motion import of_trajectory
 from sim_autopilot.lidar.record import simulate
+from tests.daemon.test_aid_port import aid_of
 from tests.daemon.test_daemon import SYSTEM, Daemon, Record, assert_same_as_its_messages, free_port
 from tests.daemon.test_run_lidar import LIDAR, MOUNTED, LidarProcess
 from tests.daemon.waiting import LIMIT
@@ -72,93 +71,140 @@ class Starting:
             yield cycle
 
 
-@dataclass
-class Flown:
-    witness: object
-    record: Record
-    words: str
-    """Of the daemon."""
-    said: str
-    """By the lidar's process."""
+class Board:
+    """The daemon and the process of the lidar, which may be killed and started again."""
 
+    def __init__(self, folder, command_port):
+        self.port, self._aid, self.http = free_port(), free_port(), free_port(socket.SOCK_STREAM)
+        self._folder, self._command_port = folder, command_port
+        self._stack = contextlib.ExitStack()
+        self.start_daemon()
+        self.start_lidar()
 
-def fly(folder, flight, seen, faults=None, during=lambda lidar, start: lidar):
-    port, aid, http = free_port(), free_port(), free_port(socket.SOCK_STREAM)
-    config = f"link: {{aid_url: 'udpin:127.0.0.1:{aid}'}}\nhttp: {{port: {http}}}\n{SOURCE}"
-    options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
-    with contextlib.ExitStack() as stack:
-        device = stack.enter_context(Device(seen, LIDAR, faults=faults, is_held=True))
-        daemon = stack.enter_context(Daemon(folder, *options, config=config))
-        daemon.wait_for(f"udpin:127.0.0.1:{aid}: open")
-        start = lambda: stack.enter_context(  # noqa: E731
-            LidarProcess(folder, device.command_port, aid, MOUNTED)
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self._stack.close()
+
+    def start_daemon(self):
+        config = f"link: {{aid_url: 'udpin:127.0.0.1:{self._aid}'}}\nhttp: {{port: {self.http}}}\n"
+        options = ("--link", f"udpin:127.0.0.1:{self.port}", "--checkpoint", "checkpoint")
+        record = ("--record", str(self._folder / "flight.tlog"))
+        self.daemon = self._stack.enter_context(
+            Daemon(self._folder, *options, *record, config=config + SOURCE, cwd=self._folder)
         )
-        lidar = start()
-        lidar.wait_for("is told to send")
+
+    def start_lidar(self):
+        self.lidar = self._stack.enter_context(
+            LidarProcess(self._folder, self._command_port, self._aid, MOUNTED)
+        )
+
+    def stop(self):
+        assert self.lidar.stop() == 0
+        assert self.daemon.stop() == 0
+
+
+def kill(process):
+    process.kill(signal.SIGKILL)
+    process.wait()
+
+
+def fly(folder, flight, seen, faults=None, during=lambda board: None):
+    """Fly it all; return what the autopilot received of it, and the board."""
+    with (
+        Device(seen, LIDAR, faults=faults, is_held=True) as device,
+        Board(folder, device.command_port) as board,
+    ):
+        board.daemon.wait_for(": open")
+        board.lidar.wait_for("is told to send")
         outage = fault.parse(f"gnss-outage:start={CUT},duration={LENGTH}")
+        other = threading.Thread(target=during, args=(board,))
+
+        def begin():
+            device.begin()
+            other.start()
 
         async def body(link):
-            begun = Starting(flight, device.begin)
-            return await live.fly(begun, link, personality=Kind.PX4, faults=[outage], wait=LIMIT)
+            started = Starting(flight, begin)
+            return await live.fly(started, link, faults=[outage], wait=LIMIT)
 
-        last = [lidar]
-        other = threading.Thread(target=lambda: last.append(during(lidar, start)))
-        other.start()
-        flown = live.run(live.over(f"udpout:127.0.0.1:{port}", body))
+        flown = live.run(live.over(f"udpout:127.0.0.1:{board.port}", body))
         other.join()
-        assert last[-1].stop() == 0
-        assert daemon.stop() == 0
-        said, words = last[-1].words.read_text(), daemon.words.read_text()
-    return Flown(flown.witness, Record(folder / "flight.tlog", daemon.config), words, said)
+        board.stop()
+        return flown.witness, board
 
 
-def away(flight, record, config):
-    """Return how far off a converted log is since the last fix, m, and in sigmas of an axis."""
-    table, _ = estimate(record.path, load_config(config), None, None)
+def away(witness):
+    """Return what was sent without fixes: times, m since the last fix, and sigmas of an axis."""
+    found = witness.estimate(CUT + 0.5)
+    error = witness.error(found).pos_n
+    since = np.linalg.norm(error - error[0], axis=1)
+    return found.t, since, float(np.abs(error / found.std[:, :3]).max())
+
+
+def without(flight, folder):
+    """Return how far the same flight is off since the last fix without the lidar, m."""
+    (folder / "without.yaml").write_text("link:\n")
+    config = load_config(folder / "without.yaml")
+    table, _ = estimate(folder / "flight.tlog", config, None, None)
     t = (np.asarray(table.stamp_ns) - flight.to_ns(0.0)) * 1e-9
     lat, lon = (np.deg2rad(table.column(name)) for name in ("lat_deg", "lon_deg"))
     place = flight.trajectory.frame.to_ned(lat, lon, table.column("alt_m"))
-    error = place - flight.trajectory.at(t).pos_n
-    sigma = table.columns(["sd_pos_n", "sd_pos_e", "sd_pos_d"])
-    inside = (t > CUT + 0.5) & (t < LENGTH - 0.5) & np.isfinite(error[:, 0])
-    since = np.linalg.norm(error[inside] - error[inside][0], axis=1)
-    return since, np.abs(error[inside] / sigma[inside]).max()
+    error = (place - flight.trajectory.at(t).pos_n)[(t > CUT + 0.5) & (t < LENGTH - 0.5)]
+    return np.linalg.norm(error - error[0], axis=1).max()
 
 
 def test_without_fixes_odometry_goes_on_by_the_lidar(tmp_path, flight, seen, record_property):
-    flown = fly(tmp_path, flight, seen)
-    (tmp_path / "without.yaml").write_text("link:\n")
-    with_lidar, sigmas = away(flight, flown.record, flown.record.config)
-    without, _ = away(flight, flown.record, tmp_path / "without.yaml")
-    sent = flown.witness.estimate(CUT).t
-    record_property("with, without the lidar, m", (with_lidar.max(), without.max()))
-    record_property("sigmas; ODOMETRY sent", (sigmas, len(sent), np.diff(sent).max()))
-    assert sent[-1] > LENGTH - 1.0
-    assert len(sent) > 20 * (LENGTH - CUT)
-    assert with_lidar.max() < 1.5
-    assert without.max() > 3.0 * with_lidar.max()
+    shown = []
+
+    def look(board):
+        time.sleep(CUT + 5.0)
+        shown.append(aid_of(board.http))
+
+    witness, board = fly(tmp_path, flight, seen, during=look)
+    assert (shown[0]["state"], shown[0]["source"][:16]) == ("used", "240/197 ODOMETRY")
+    t, since, sigmas = away(witness)
+    alone = without(flight, tmp_path)
+    record_property("m with, without the lidar", (since.max(), alone))
+    record_property("sigmas, sent, longest gap", (sigmas, len(t), np.diff(t).max()))
+    assert t[-1] > LENGTH - 1.0
+    assert len(t) > 20 * (LENGTH - CUT)
+    assert since.max() < 1.5
+    assert alone > 3.0 * since.max()
     assert sigmas < 4.0
-    assert "visual odometry" in flown.words
-    assert "begins anew" not in flown.said
-    assert_same_as_its_messages(flown.record)
+    assert "begins anew" not in board.lidar.words.read_text()
+    assert_same_as_its_messages(Record(tmp_path / "flight.tlog", board.daemon.config))
 
 
-def test_a_cable_that_is_out_and_a_process_that_is_killed(tmp_path, flight, seen, record_property):
-    """Both while there are no fixes: each costs a new frame, and no more than was travelled."""
+def cable_and_lidar(board):
+    """Kill the lidar's process five seconds after its cable was out."""
+    time.sleep(CUT + 7.0)
+    kill(board.lidar)
+    board.start_lidar()
 
-    def during(lidar, start):
-        time.sleep(CUT + 7.0)
-        lidar.kill(signal.SIGKILL)
-        lidar.wait()
-        return start()
 
-    faults = LivoxFaults(silent=(CUT + 2.0, CUT + 4.0), times=2, lost=0.01)
-    flown = fly(tmp_path, flight, seen, faults, during)
-    since, sigmas = away(flight, flown.record, flown.record.config)
-    sent = flown.witness.estimate(CUT).t
-    record_property(
-        "m, sigmas; ODOMETRY sent", (since.max(), sigmas, len(sent), np.diff(sent).max())
-    )
-    assert since.max() < 10.0
+def restarted_daemon(board):
+    """Kill the daemon while it has fixes: it goes on from its checkpoint, and the lidar with it."""
+    time.sleep(CUT - 6.0)
+    kill(board.daemon)
+    board.start_daemon()
+
+
+@pytest.mark.parametrize(
+    ("during", "faults"),
+    [
+        (cable_and_lidar, {"silent": (CUT + 2.0, CUT + 4.0), "times": 2, "lost": 0.01}),
+        (restarted_daemon, {}),
+        (lambda board: None, {"leap": (CUT + 3.0, 1.79e9)}),  # from its own clock to PTP's
+    ],
+)
+def test_odometry_goes_on_whatever_is_killed(
+    tmp_path, flight, seen, record_property, during, faults
+):
+    witness, _ = fly(tmp_path, flight, seen, LivoxFaults(**faults), during)
+    t, since, sigmas = away(witness)
+    record_property("m, sigmas, sent, gap", (since.max(), sigmas, len(t), np.diff(t).max()))
+    assert t[-1] > LENGTH - 1.0
+    assert since.max() < 5.0
     assert sigmas < 4.0
-    assert sent[-1] > LENGTH - 1.0

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ekf_companion.errors import LogError
 from ekf_companion.lidar.heard import Heard
@@ -18,6 +21,7 @@ from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import solve
 from sim_autopilot.lidar.livox import LivoxFaults, datagrams, write_pcap
 from tests.lidar.recordings import small
+from tests.lidar.test_livox import packet
 
 BEGIN_NS = 7_000_000_000
 LAG_NS = 123_456_789_000
@@ -254,6 +258,21 @@ def test_a_capture_of_several_lidars_is_that_of_the_one_that_sent_most(tmp_path)
     (tmp_path / "none.pcap").write_bytes(b"no capture")
     with pytest.raises(LogError, match=r"no \.pcap that can be read"):
         read(tmp_path / "none.pcap")
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.integers(-3, 40), st.integers(0, 60)), max_size=80))
+def test_whatever_the_stamps_do_samples_are_in_order_and_what_is_kept_is_bounded(steps):
+    """Steps of 5 ms on, back or far, with points or samples, as nobody has planned them."""
+    live, t_ns = Live(mounting(), Settings()), 10**10
+    for k, (is_imu, step, leap) in enumerate(steps):
+        t_ns = max(t_ns + 5_000_000 * step + (10**11 if leap == 60 else 0), 1)
+        data = struct.pack("<6f", 0.1, 0.2, 0.3, 0.0, 0.0, 1.0) if is_imu else bytes(14)
+        live.receive(packet(0 if is_imu else 1, data, t_ns=t_ns, number=k), 10**12 + t_ns)
+        assert len(live._waiting) <= MOST_WAITING
+        while (job := live.take()) is not None:
+            assert (np.diff(job.samples.stamp) > 0).all()
+            assert job.packed.end <= live.collector.heard.judged
 
 
 def test_samples_that_are_judged_already_stay_as_they_are(clean):
