@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import lidar_aid, lidar_memory, lidar_peers, lidar_radar
+from benchmarks import lidar_aid, lidar_live, lidar_memory, lidar_peers, lidar_radar
 from benchmarks.document import table
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import Mounting, Recording
@@ -206,6 +206,8 @@ def main() -> None:
         lidar_aid.main()
     if wanted in ("", "radar"):
         lidar_radar.main(score)
+    if wanted in ("", "live"):
+        lidar_live.main()
     if wanted in ("", "memory"):
         lidar_memory.main()
 
