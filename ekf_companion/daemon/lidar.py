@@ -285,14 +285,10 @@ class LidarProcess:
         return {
             **{f"scans dropped, {why}": count for why, count in self.live.dropped.items()},
             "datagrams lost": collector.lost,
-            "datagrams too late": collector.late + collector.refused["late sample"],
+            "datagrams too late": collector.late,
             "datagrams repeated": collector.repeated,
             "datagrams of others": sum(self.foreign.values()),
-            **{
-                f"datagrams {why}": count
-                for why, count in collector.refused.items()
-                if why not in ("late sample", "repeated sample")
-            },
+            **{f"datagrams {why}": count for why, count in collector.refused.items()},
         }
 
     def _say_what_grew(self) -> None:

@@ -56,8 +56,9 @@ class Collector:
         """Of the samples."""
         self.refused: Counter[str] = Counter()
         """Datagrams by the reason why they are not used."""
-        self.samples = self.packets = 0
-        """Datagrams that were used."""
+        self.packets = 0
+        """Datagrams of points."""
+        self._late_samples = self._repeated_samples = 0
         self._assembler = Assembler()
         self._recent: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)
         self._late: list[Inertial] = []
@@ -69,13 +70,13 @@ class Collector:
 
     @property
     def late(self) -> int:
-        """Return how many of them came too late."""
-        return self._assembler.late
+        """Return how many datagrams came too late, and are left out."""
+        return self._assembler.late + self._late_samples
 
     @property
     def repeated(self) -> int:
-        """Return how many datagrams came twice."""
-        return self._assembler.repeated + self.refused["repeated sample"]
+        """Return how many datagrams came again, and are left out."""
+        return self._assembler.repeated + self._repeated_samples
 
     def receive(self, datagram: bytes) -> Packed | Inertial | None:
         """Take a datagram; return the scan that it ends, or the sample that it is."""
@@ -97,12 +98,12 @@ class Collector:
             return self._begin([sample], "")
         if sample.t_ns <= self.newest_ns:
             if (sample.t_ns, sample.check) in self._recent:
-                self.refused["repeated sample"] += 1
+                self._repeated_samples += 1
                 return False
             self._late.append(sample)
             if len(self._late) == BACK:
                 return self._begin(self._late, BACKWARDS)
-            self.refused["late sample"] += 1
+            self._late_samples += 1
             return False
         if sample.t_ns - self.newest_ns > GAP_NS:
             return self._begin([sample], LEAPT)
@@ -110,22 +111,24 @@ class Collector:
         return self._take(sample)
 
     def _take(self, sample: Inertial) -> bool:
-        self.samples += 1
         self.newest_ns = sample.t_ns
         self._recent.append((sample.t_ns, sample.check))
         self.heard.add((sample.t_ns - self.base_ns) / 1e9, sample.gyro, sample.accel)
         return True
 
     def _begin(self, samples: list[Inertial], why: str) -> bool:
-        """Begin a run with samples in the order of their times."""
+        """Begin a run with some samples."""
+        samples = sorted(samples, key=lambda one: one.t_ns)
         self.run += 1
         self.why = why
         self.base_ns = samples[0].t_ns
+        self.newest_ns = 0
         self.heard = Heard()
         self._recent.clear()
         self._late = []
         if why:
             self._assembler.forget()
         for one in samples:
-            self._take(one)
+            if one.t_ns > self.newest_ns:
+                self._take(one)
         return True

@@ -273,6 +273,7 @@ def test_whatever_the_stamps_do_samples_are_in_order_and_what_is_kept_is_bounded
         while (job := live.take()) is not None:
             assert (np.diff(job.samples.stamp) > 0).all()
             assert job.packed.end <= live.collector.heard.judged
+        assert (np.diff(live.collector.heard.samples().stamp) > 0).all()
 
 
 def test_samples_that_are_judged_already_stay_as_they_are(clean):
