@@ -155,7 +155,7 @@ def without(flight, folder):
     return np.linalg.norm(error - error[0], axis=1).max()
 
 
-def test_without_fixes_odometry_goes_on_by_the_lidar(tmp_path, flight, seen, record_property):
+def test_without_fixes_odometry_goes_on_by_the_lidar(tmp_path, flight, seen):
     shown = []
 
     def look(board):
@@ -166,11 +166,9 @@ def test_without_fixes_odometry_goes_on_by_the_lidar(tmp_path, flight, seen, rec
     assert (shown[0]["state"], shown[0]["source"][:16]) == ("used", "240/197 ODOMETRY")
     t, since, sigmas = away(witness)
     alone = without(flight, tmp_path)
-    record_property("m with, without the lidar", (since.max(), alone))
-    record_property("sigmas, sent, longest gap", (sigmas, len(t), np.diff(t).max()))
     assert t[-1] > LENGTH - 1.0
     assert len(t) > 20 * (LENGTH - CUT)
-    assert since.max() < 1.5
+    assert since.max() < 1.0
     assert alone > 3.0 * since.max()
     assert sigmas < 4.0
     assert "begins anew" not in board.lidar.words.read_text()
@@ -199,12 +197,9 @@ def restarted_daemon(board):
         (lambda board: None, {"leap": (CUT + 3.0, 1.79e9)}),  # from its own clock to PTP's
     ],
 )
-def test_odometry_goes_on_whatever_is_killed(
-    tmp_path, flight, seen, record_property, during, faults
-):
+def test_odometry_goes_on_whatever_is_killed(tmp_path, flight, seen, during, faults):
     witness, _ = fly(tmp_path, flight, seen, LivoxFaults(**faults), during)
     t, since, sigmas = away(witness)
-    record_property("m, sigmas, sent, gap", (since.max(), sigmas, len(t), np.diff(t).max()))
     assert t[-1] > LENGTH - 1.0
-    assert since.max() < 5.0
+    assert since.max() < 2.0
     assert sigmas < 4.0
