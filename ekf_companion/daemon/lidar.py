@@ -21,6 +21,7 @@ import numpy as np
 
 from ekf_companion.arrays.board import Board
 from ekf_companion.daemon import logging as log
+from ekf_companion.daemon.clock import unix_offset
 from ekf_companion.daemon.loop import run_loop
 from ekf_companion.daemon.systemd import Systemd
 from ekf_companion.errors import LinkError
@@ -177,12 +178,13 @@ class LidarProcess:
         return ours
 
     def _on_data(self, ours: socket.socket) -> None:
-        now_ns = time.monotonic_ns()
         for _ in range(READS):
             try:
                 data, sender = ours.recvfrom(LARGEST)
             except OSError:  # nothing more, or what the other end has refused
                 break
+            # After the read: nothing may seem to have come before it did, as the least lag counts
+            now_ns = time.monotonic_ns()
             if sender[0] != self.options.lidar:
                 self.foreign[sender[0]] += 1
                 continue
@@ -234,10 +236,9 @@ class LidarProcess:
         place = FLU_TO_FRD @ pose.pos
         C = FLU_TO_FRD @ pose.C @ self.options.on_vehicle.T @ FLU_TO_FRD
         P = _TURNED @ pose.P @ _TURNED
-        unix_ns = pose.ours_ns + time.time_ns() - time.monotonic_ns()
         with contextlib.suppress(OSError):  # the daemon is not there, for now
             self._board.send(
-                t=unix_ns,
+                t=pose.ours_ns + unix_offset(),
                 position=place,
                 q=so3.from_matrix(C),
                 pose_covariance=0.5 * (P + P.T),

@@ -35,6 +35,7 @@ LENGTH, CUT = 36.0, 22.0
 """Of the flight, and when its receiver ends, s."""
 SOURCE = """visual_odometry:
   use: true
+  delay_std: 0.01
   walk: 0
   speed_walk: 0
   yaw_walk: 0
