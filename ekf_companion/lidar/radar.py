@@ -139,11 +139,15 @@ class RadarOdometry:
         if still is not None:
             self._fuse(no_turn(self.x, still, end - before))
         self.P[EXCESS] = self.P[:, EXCESS] = 0.0
+        travelled = None
+        if self._marked is not None:
+            travelled = relative_pose(*self._marked, end, self.x, self.P, 0.0)
         return Estimate(
             stamp=end,
             state=self.x,
             P=self.P[:N, :N].copy(),
-            relative=self._mark(end),
+            travelled=travelled,
+            relative=travelled if self._mark(end) else None,
             match=match,
             clipped=path.clipped,
             lost=path.lost,
@@ -171,17 +175,14 @@ class RadarOdometry:
         self.x = self.x.plus((K @ z)[:N])
         return True
 
-    def _mark(self, stamp: float) -> RelativePose | None:
-        """Return the pose relative to the marked one where that is old enough, and mark this."""
+    def _mark(self, stamp: float) -> bool:
+        """Mark the pose where the marked one is old enough; return whether it is."""
         if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
-            return None
-        relative = None
-        if self._marked is not None:
-            relative = relative_pose(*self._marked, stamp, self.x, self.P, 0.0)
+            return False
         self.P[MARKED] = self.P[:POSE]
         self.P[:, MARKED] = self.P[:, :POSE]
         self._marked = stamp, self.x
-        return relative
+        return True
 
 
 def observe(x: State, vel: Array, information: Array, path: Path) -> Row:
