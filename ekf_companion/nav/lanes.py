@@ -237,6 +237,8 @@ class Lanes:
         """Note that a unit fails now."""
         if not unit.has_failed(t_ns):
             unit.faults += 1
+        elif why == AXIS and unit.why == STUCK:
+            why = STUCK  # its axes are as they were
         if unit.fault_ns == NEVER:
             unit.fault_ns = t_ns
         unit.failed_ns, unit.why = t_ns, why

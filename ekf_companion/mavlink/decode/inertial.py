@@ -17,6 +17,7 @@ from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.inertial_unit import Unit
 from ekf_companion.nav.lanes import CHANGED, LEFT, SHARE, USED, Lanes
+from ekf_companion.nav.matrix3 import Vector3
 from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
 
@@ -98,6 +99,8 @@ class Inertial(InertialState):
         sample = (gx, gy, gz, ax, ay, az)
         is_whole = is_sure and (updated & ACCEL_GYRO == ACCEL_GYRO or not self._is_marked)
         if is_whole and self._is_done(out, instance, 0, t_us, sample):
+            if instance == context.options.imu_id:
+                self._add_others(out, updated, t_ns, (mx, my, mz), pressure)
             return out
         # The configured one goes first
         rank = 0 if instance == context.options.imu_id else instance + 1
@@ -124,13 +127,18 @@ class Inertial(InertialState):
             return out
         else:
             t_ns = self._add(out, 0, t_us, sample, is_sure)
-        if not is_sure:
-            return out  # what came with it cannot wait for the next, as the sample will
+        if is_sure:  # else what came with it cannot wait for the next, as the sample will
+            self._add_others(out, updated, t_ns, (mx, my, mz), pressure)
+        return out
+
+    def _add_others(
+        self, out: Measurements, updated: int, t_ns: int, field: Vector3, pressure: float
+    ) -> None:
+        """Append field and pressure of a HIGHRES_IMU, those that are new."""
         if updated & MAG == MAG:
-            self._mag.add(out, 0, t_ns, mx, my, mz)
+            self._mag.add(out, 0, t_ns, *field)
         if updated & PRESSURE:
             self._baro.add(out, 0, t_ns, pressure)
-        return out
 
     def is_refused(self, why: str, rank: int = 0) -> bool:
         """Return whether a sample is refused, for it measures nothing; count it, and tell a human.
