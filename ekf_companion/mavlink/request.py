@@ -40,6 +40,8 @@ _RESULTS = (
 
 _GROUPS = {
     "RAW_IMU": 1,
+    "SCALED_IMU2": 1,
+    "SCALED_IMU3": 1,
     "SCALED_PRESSURE": 1,
     "GPS_RAW_INT": 2,
     "GLOBAL_POSITION_INT": 6,

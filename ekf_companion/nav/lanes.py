@@ -209,6 +209,12 @@ class Lanes:
                 return True
         return False
 
+    def is_starving(self, number: int, t_ns: int) -> bool:
+        """Return whether the unit in use is much slower than another that measures."""
+        used: Unit = self._unit(self.used)
+        one: Unit = self._unit(number)
+        return used.dt * SHARE > one.dt and self._may_use(one, CHOSEN, t_ns)
+
     def unit(self, number: int) -> Unit:
         """Return a unit by its number."""
         return self._unit(number)

@@ -148,3 +148,13 @@ def test_a_run_that_goes_on_from_another_uses_the_unit_that_was_in_use():
     gyro_z = np.array([one.gyro_z for _, one in found])
     assert abs(np.mean(gyro_z - 0.3 * np.sin(0.4 * t))) < 2e-3
     assert len(found) > 900
+
+
+def test_a_slow_unit_stands_in_until_the_fast_one_measures_again():
+    vehicle = Vehicle(Family.ARDUPILOT, ("HIGHRES_IMU", "SCALED_IMU2"), rates=(250, 10))
+    vehicle.fly(2.0, BEGIN)
+    vehicle.fault = lambda number, t, values: freeze(number, t, values) if t < 20.0 else values
+    vehicle.fly(BEGIN, 20.0)
+    assert vehicle.peer.decoder.inertial.unit == 1
+    vehicle.fly(20.0, 33.0)
+    assert vehicle.peer.decoder.inertial.unit == 0

@@ -220,6 +220,7 @@ class Inertial(InertialState):
             return True
         # A unit that was left is not gone back to for being preferred
         may_be_preferred = not lanes.knows(unit) and not lanes.is_shifted
+        may_be_preferred |= lanes.is_starving(unit, t_ns)
         if may_be_preferred or lanes.unit(self.unit).is_silent(t_ns):
             return False
         self._context.refused[f"{SOURCES[rank]}: {ANOTHER_UNIT}"] += 1
