@@ -28,11 +28,6 @@ _SILENT_NS = 100_000_000
 """Silence, beside four intervals, after which a unit is left: 0.2 s at 40 Hz."""
 _WHITE = 0.1
 """Time in which the white noise is learnt as it rises, s; it falls five times as slowly."""
-_RANGE, _FORCE_RANGE = 0.5, 11.5
-"""rad/s and m/s^2: no gyro and no accelerometer has a smaller range (``core/trust/doubt.py``)."""
-_HITS, _CLIPPING_NS = 3, 100_000_000
-"""So many times in so long (ns) an axis says its largest reading to the bit, where it vibrates
-beyond the end of its range: noise makes the largest one single."""
 LASTING_NS = 10_000_000_000
 """A unit that failed is not gone to for so long; a difference that lasted for it is the usual one
 from then on."""
@@ -57,7 +52,6 @@ class Unit:
             self._last, self._before, self._now = [0.0] * 6, [0.0] * 6, [0.0] * 6
             self._sum, self.white, self.usual = [0.0] * 6, [0.0] * 6, [0.0] * 6
             self.mean, self.whole = [[0.0] * 6 for _ in range(8)], [0] * 8
-            self._largest, self._hits, self._hit_ns = [0.0] * 6, [0] * 6, [0] * 6
         self.number = number
         self.failed_ns: int = NEVER
         self.why = ""
@@ -85,8 +79,7 @@ class Unit:
         for n in range(8):
             self.whole[n] = NEVER
         for axis in range(6):
-            self.white[axis] = self.usual[axis] = self._sum[axis] = self._largest[axis] = 0.0
-            self._hits[axis] = self._hit_ns[axis] = 0
+            self.white[axis] = self.usual[axis] = self._sum[axis] = 0.0
 
     def take(
         self, t_ns: int, gx: float, gy: float, gz: float, ax: float, ay: float, az: float
@@ -98,8 +91,6 @@ class Unit:
             return why
         self._now[0], self._now[1], self._now[2] = gx, gy, gz
         self._now[3], self._now[4], self._now[5] = ax, ay, az
-        if self._is_clipping(t_ns):
-            why = LIMITED
         step = t_ns - self.t_ns
         if self.t_ns == NEVER or step > _GAP_NS:
             self.run = 0
@@ -117,19 +108,6 @@ class Unit:
             self._last[axis] = self._now[axis]
         self.t_ns = t_ns
         return why
-
-    def _is_clipping(self, t_ns: int) -> bool:
-        """Return whether an axis says its largest reading again and again."""
-        is_clipping = False
-        for axis in range(6):
-            size = abs(self._now[axis])
-            if size < self._largest[axis] or size < (_RANGE if axis < 3 else _FORCE_RANGE):
-                continue
-            is_again = size == self._largest[axis] and t_ns - self._hit_ns[axis] < _CLIPPING_NS
-            self._hits[axis] = self._hits[axis] + 1 if is_again else 1
-            self._largest[axis], self._hit_ns[axis] = size, t_ns
-            is_clipping = is_clipping or self._hits[axis] >= _HITS
-        return is_clipping
 
     def _learn_white(self, dt: float) -> None:
         """Learn the white noise by the second difference, whose variance is six times as large."""

@@ -171,17 +171,6 @@ def test_the_readings_of_the_next_unit_continue_those_before(fault):
     assert 0.0 < used[first, 7] < 0.1
 
 
-def test_a_unit_that_vibrates_beyond_its_range_is_left():
-    units = Units(1)
-    rng = np.random.default_rng(4)
-    for number in range(2):
-        after = units.after(number)
-        units.values[number][after, 5] += rng.normal(0.0, 10.0, np.count_nonzero(after))
-    units.values[0] = np.clip(units.values[0], -20.0, 20.0)
-    lanes, _ = units.run()
-    assert units.left(lanes) == (pytest.approx(0.1, abs=0.1), LIMITED)
-
-
 def test_what_the_unit_that_is_left_has_done_is_told():
     units = Units(1)
     step_accel(units, 0)
