@@ -21,8 +21,6 @@ SHOWN = float(np.radians(12.0))
 """Sigma of the mounting up to which it counts as shown: the axes of a cube are 90 deg apart."""
 APART = float(np.radians(30.0))
 """Of a mounting that is known, beyond which it is another one: nobody measures so badly."""
-TWICE = 4.0
-"""Variance, as a multiple of what the points of scans say, from which a sentence says so."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,14 +68,14 @@ def compare_doppler(
             )
         return Agreement(timing, mounting or Mounting(), noise, (said,))
     unit = nearest(1.0, 1.0 / abs(fit.unit), SPEED)
-    if unit != 1.0:
-        # Noise is in m/s: once more
+    if unit != 1.0 and timing.speed_unit == 1.0:
+        # Noise is in m/s: once more, with speeds in m/s
         scans = replace(scans, timing=replace(timing, speed_unit=unit))
         again = compare_doppler(scans, inertial, mounting, unit * most_speed)
         said = f"radial speeds are in {SPEED[unit]}, not m/s"
         return replace(again, sentences=(said, *again.sentences))
     timing, sentences = _signs(timing, fit, is_known=mounting is not None)
-    if noise > TWICE:
+    if noise > 1.0:
         sentences.append(
             f"velocities of scans are {np.sqrt(noise):.1f} times as noisy as their points say: "
             "taken so"
