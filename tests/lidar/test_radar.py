@@ -424,8 +424,13 @@ def test_speeds_that_mean_nothing_are_called_poor(tmp_path):
 
 
 def test_a_vehicle_that_does_not_move_shows_no_mounting(tmp_path):
+    def at_rest(lidar, imu):
+        lidar["doppler"][:] = 0.0
+
     flown = simulate_radar("room", 1, duration=3.0)
-    found = read(written(tmp_path / "r", flown, has_mounting=False))
+    path = written(tmp_path / "r", flown, at_rest, has_mounting=False)
+    assert not read(path).by_doppler  # the driver of a lidar leaves such a field empty
+    found = read(path, by_doppler=True)
     np.testing.assert_array_equal(found.mounting.rotation, np.eye(3))
     assert any("nor does the motion show it" in one for one in found.decisions)
     assert solve(found, Settings()).verdict().startswith("good")

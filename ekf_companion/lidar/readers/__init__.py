@@ -48,8 +48,8 @@ def read(
         lidar: The topic of the scans in a bag. None: the one with the most messages.
         imu: The topic of the inertial samples. None: likewise. For a .pcap of a Velodyne the table
             of its inertial samples; None: imu.csv beside it.
-        by_doppler: Whether the radial speeds of the points count, as of a radar. None: where the
-            points have them.
+        by_doppler: Whether the radial speeds of the points count, as of a radar. None: where
+            any is not 0.
         most_speed: Radial speed at which those of a radar wrap, m/s; 0: they do not.
 
     Raises:

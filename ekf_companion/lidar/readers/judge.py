@@ -29,7 +29,7 @@ def judge(
         source: The opened recording.
         mounting: The lidar on the inertial sensor; None: as the recording says.
         stamp: `start`, `middle` or `end` of a scan, of which the stamps are; None: to be decided.
-        by_doppler: Whether radial speeds count; None: where the points have them.
+        by_doppler: Whether radial speeds count; None: where any is not 0.
         most_speed: Radial speed at which they wrap, m/s; 0: they do not.
 
     Raises:
@@ -38,7 +38,7 @@ def judge(
     """
     inertial, about_inertial = decide_inertial(source)
     found = survey(source)
-    by_doppler = found.has_doppler if by_doppler is None else by_doppler
+    by_doppler = found.has_doppler and found.has_speed if by_doppler is None else by_doppler
     if by_doppler and not found.has_doppler:
         raise LogError(
             f"{source.name}: not all points have radial speeds (a field {', '.join(DOPPLERS)}): "

@@ -29,15 +29,18 @@ class Survey:
     """Whether any scan has times of its points that differ."""
     has_doppler: bool
     """Whether all scans have radial speeds."""
+    has_speed: bool
+    """Whether one of these is not 0: drivers of lidars leave such a field empty."""
 
 
 def survey(source: Source) -> Survey:
     """Return the numbers of all scans of a source."""
     stamps, returns, times, reach, digests = [], [], [], [], []
-    is_timed, has_doppler = False, True
+    is_timed, has_doppler, has_speed = False, True, False
     for scan in source.scans():
         good = is_return(scan)
         has_doppler &= scan.doppler is not None
+        has_speed |= scan.doppler is not None and bool(scan.doppler[good].any())
         stamps.append(scan.stamp)
         returns.append(int(good.sum()))
         quantiles = np.full(5, np.nan)
@@ -56,6 +59,7 @@ def survey(source: Source) -> Survey:
         np.array(digests, np.int64),
         is_timed,
         has_doppler,
+        has_speed,
     )
 
 
