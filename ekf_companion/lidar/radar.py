@@ -22,7 +22,7 @@ import numpy as np
 from ekf_companion.lidar import start
 from ekf_companion.lidar.doppler import LEAST, EgoVelocity, velocities
 from ekf_companion.lidar.motion import Path, Samples, prepare, propagate
-from ekf_companion.lidar.odometry import Estimate, RelativePose, recentred, relative_pose
+from ekf_companion.lidar.odometry import Estimate, recentred, relative_pose
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording
 from ekf_companion.lidar.rows import Match
 from ekf_companion.lidar.settings import Settings
