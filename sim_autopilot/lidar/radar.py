@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from sim_autopilot.lidar.beams import Beams
-from sim_autopilot.lidar.motion import MOTIONS, Motion
-from sim_autopilot.lidar.record import UNIT, ImuErrors, Lidar, Simulated, sample, usual_lidar
-from sim_autopilot.lidar.worlds import WORLDS, Array, World, cast
+from sim_autopilot.lidar.motion import Motion
+from sim_autopilot.lidar.record import (
+    UNIT,
+    ImuErrors,
+    Lidar,
+    Points,
+    Simulated,
+    record,
+    usual_lidar,
+)
+from sim_autopilot.lidar.worlds import Array, World, cast
 
 RAYS = Beams(
     "radar", 1, 60, -30, 30, nearest=0.3, farthest=40, range_sigma=0.04, range_bias=0.0,
@@ -63,45 +71,20 @@ def simulate_radar(
         scene: Another world in its place.
         motion: Another motion.
     """
-    of_world, of_radar, of_imu = np.random.default_rng(seed).spawn(3)
-    scene, motion = scene or WORLDS[world](of_world), motion or MOTIONS[world]
+    scan = partial(_scan, errors=errors or RadarErrors())
     fitted = radar or usual_lidar(world, RAYS)
-    stamp, first, xyz, label, doppler = _scan(
-        scene, motion, fitted, errors or RadarErrors(), duration, of_radar
-    )
-    samples = sample(motion, imu or ImuErrors(), duration, of_imu)
-    count = len(xyz)
-    return Simulated(
-        world,
-        fitted,
-        imu or ImuErrors(),
-        motion,
-        scene,
-        stamp,
-        first,
-        xyz,
-        np.zeros(count, np.uint16),
-        np.zeros(count, np.uint8),
-        label,
-        *samples,
-        doppler,
-    )
+    return record(world, world, seed, duration, fitted, imu, scene, motion, scan)
 
 
 def _scan(
     world: World,
     motion: Motion,
     radar: Lidar,
-    errors: RadarErrors,
     duration: float,
     rng: np.random.Generator,
-) -> tuple[
-    Array,
-    npt.NDArray[np.int32],
-    npt.NDArray[np.int16],
-    npt.NDArray[np.uint8],
-    npt.NDArray[np.float32],
-]:
+    *,
+    errors: RadarErrors,
+) -> Points:
     beams = radar.beams
     stamps = np.array(0.02 + np.arange(int((duration - 0.1) * beams.rate)) / beams.rate)
     xyz, labels, speeds, counts = [], [], [], [0]
@@ -140,6 +123,8 @@ def _scan(
         stamps,
         np.cumsum(counts).astype(np.int32),
         np.concatenate(xyz),
+        np.zeros(sum(counts), np.uint16),
+        np.zeros(sum(counts), np.uint8),
         np.concatenate(labels),
         np.concatenate(speeds),
     )

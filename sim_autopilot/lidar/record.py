@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,6 +82,18 @@ class Simulated:
     """m/s, radial speed of each point of a radar, positive away, shape (n,)."""
 
 
+Points = tuple[
+    Array,
+    npt.NDArray[np.int32],
+    npt.NDArray[np.int16],
+    npt.NDArray[np.uint16],
+    npt.NDArray[np.uint8],
+    npt.NDArray[np.uint8],
+    npt.NDArray[np.float32] | None,
+]
+"""Of :class:`Simulated`: stamp, first, xyz, dt, ring, label, doppler."""
+
+
 def simulate(
     world: str,
     seed: int,
@@ -104,12 +117,34 @@ def simulate(
         scene: Another world in its place, for the same lidar.
         motion: Another motion.
     """
-    of_world, of_lidar, of_imu = np.random.default_rng(seed).spawn(3)
-    scene, motion = scene or WORLDS[world](of_world), motion or MOTIONS[world]
     fitted = lidar or usual_lidar(world)
-    points = _scan(scene, motion, fitted, duration, of_lidar)
-    samples = sample(motion, errors or ImuErrors(), duration, of_imu)
-    return Simulated(name or world, fitted, errors or ImuErrors(), motion, scene, *points, *samples)
+    return record(name or world, world, seed, duration, fitted, errors, scene, motion, _scan)
+
+
+def record(
+    name: str,
+    world: str,
+    seed: int,
+    duration: float,
+    fitted: Lidar,
+    errors: ImuErrors | None,
+    scene: World | None,
+    motion: Motion | None,
+    scan: Callable[[World, Motion, Lidar, float, np.random.Generator], Points],
+) -> Simulated:
+    """Return a recording of what ``scan`` makes of a motion in a world; else as :func:`simulate`.
+
+    World, points and samples have a generator each.
+    """
+    of_world, of_points, of_imu = np.random.default_rng(seed).spawn(3)
+    scene, motion, errors = (
+        scene or WORLDS[world](of_world),
+        motion or MOTIONS[world],
+        errors or ImuErrors(),
+    )
+    points = scan(scene, motion, fitted, duration, of_points)
+    samples = _sample(motion, errors, duration, of_imu)
+    return Simulated(name, fitted, errors, motion, scene, *points[:6], *samples, points[6])
 
 
 def usual_lidar(world: str, beams: Beams | None = None) -> Lidar:
@@ -127,14 +162,7 @@ def usual_lidar(world: str, beams: Beams | None = None) -> Lidar:
 
 def _scan(
     world: World, motion: Motion, lidar: Lidar, duration: float, rng: np.random.Generator
-) -> tuple[
-    Array,
-    npt.NDArray[np.int32],
-    npt.NDArray[np.int16],
-    npt.NDArray[np.uint16],
-    npt.NDArray[np.uint8],
-    npt.NDArray[np.uint8],
-]:
+) -> Points:
     beams = lidar.beams
     period = 1.0 / beams.rate
     count = int((duration - 0.05) / period - 0.2)
@@ -172,13 +200,13 @@ def _scan(
         np.concatenate(ticks, dtype=np.uint16),
         np.concatenate(rings),
         np.concatenate(labels),
+        None,
     )
 
 
-def sample(
+def _sample(
     motion: Motion, errors: ImuErrors, duration: float, rng: np.random.Generator
 ) -> tuple[Array, npt.NDArray[np.float32], npt.NDArray[np.float32], Array, Array]:
-    """Return stamps, gyro, accel and their biases of a motion."""
     step = 1.0 / errors.rate
     stamp = np.array(step * np.arange(1, int(duration * errors.rate)), np.float64)
     shape = (len(stamp), 3)
