@@ -115,7 +115,7 @@ class Odometry:
         self.P = np.zeros((N + POSE, N + POSE))
         if calibration is not None:
             self.P[CALIBRATION, CALIBRATION] = calibration
-        self._marked: tuple[float, State] | None = None
+        self._marked = Marked(settings.spacing, alignment)
         self._insertions = 0
         self._time = 0.0
         """Of the state, inertial clock, s."""
@@ -165,13 +165,13 @@ class Odometry:
             update, path = self._advance(part, until)
             clipped, lost = clipped + path.clipped, lost + path.lost
             evaluations += update.evaluations
-        travelled = self._travelled(end_l)
+        travelled = self._marked.travelled(end_l, self.x, self.P)
         return Estimate(
             stamp=end_l,
             state=self.x,
             P=self.P[:N, :N] + self._alignment**2 * _square(by_axes(self.x)),
             travelled=travelled,
-            relative=travelled if self._mark(end_l) else None,
+            relative=travelled if self._marked.renew(end_l, self.x, self.P) else None,
             match=None if update is None or update.sums is None else update.sums.match,
             clipped=clipped,
             lost=lost,
@@ -185,7 +185,7 @@ class Odometry:
         """
         end = end_l + self.x.delay
         is_clipped = clipped_between(self._samples, self._time, end)[:, :3].any()
-        if self._marked is None or not is_clipped:
+        if self._marked.is_none or not is_clipped:
             yield scan, end_l
             return
         edges = np.linspace(min(self._time - self.x.delay, end_l), end_l, PARTS + 1)
@@ -209,7 +209,7 @@ class Odometry:
 
         # The first pose is the world
         there = x
-        if self._marked is None:
+        if self._marked.is_none:
             x, G = recentred(x)
             P[:N, :N] = G @ P[:N, :N] @ G.T
 
@@ -323,20 +323,37 @@ class Odometry:
             if one.number in owned:
                 self.map.forget_owner(one.number)
 
-    def _travelled(self, stamp: float) -> RelativePose | None:
-        """Return the present pose relative to the marked one; None: none is."""
-        if self._marked is None:
-            return None
-        return relative_pose(*self._marked, stamp, self.x, self.P, self._alignment)
 
-    def _mark(self, stamp: float) -> bool:
-        """Mark the pose where the marked one is old enough; return whether it is."""
-        if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
+MARKED = slice(N, N + POSE)
+"""Errors of the marked pose in the covariance."""
+
+
+class Marked:
+    """The pose that the next relative one counts from; its errors stay in the covariance."""
+
+    def __init__(self, spacing: float, alignment: float = 0.0) -> None:
+        """Begin without one; ``spacing``: between two, s; ``alignment``: see ``Odometry``."""
+        self._spacing, self._alignment = spacing, alignment
+        self._at: tuple[float, State] | None = None
+
+    @property
+    def is_none(self) -> bool:
+        """Return whether none is marked yet: the first pose is the world."""
+        return self._at is None
+
+    def travelled(self, stamp: float, x: State, P: Array) -> RelativePose | None:
+        """Return the present pose relative to the marked one; None: none is."""
+        if self._at is None:
+            return None
+        return relative_pose(*self._at, stamp, x, P, self._alignment)
+
+    def renew(self, stamp: float, x: State, P: Array) -> bool:
+        """Mark the pose, in P too, where the marked one is old enough; return whether it is."""
+        if self._at is not None and stamp - self._at[0] < self._spacing - 0.01:
             return False
-        at = slice(N, N + POSE)
-        self.P[at] = self.P[:POSE]
-        self.P[:, at] = self.P[:, :POSE]
-        self._marked = (stamp, self.x)
+        P[MARKED] = P[:POSE]
+        P[:, MARKED] = P[:, :POSE]
+        self._at = stamp, x
         return True
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from ekf_companion.lidar import start
 from ekf_companion.lidar.doppler import LEAST, EgoVelocity, velocities
 from ekf_companion.lidar.motion import Path, Samples, prepare, propagate
-from ekf_companion.lidar.odometry import Estimate, recentred, relative_pose
+from ekf_companion.lidar.odometry import MARKED, Estimate, Marked, recentred
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording
 from ekf_companion.lidar.rows import Match
 from ekf_companion.lidar.settings import Settings
@@ -55,7 +55,6 @@ squared with that of a data sheet, by 0.8 with this, and by 0.11 m/s instead of 
 not go so long by the gyro alone."""
 GATE = 16.27
 """Largest square of an innovation in its sigmas: chi-square of three, one in 1000."""
-MARKED = slice(N, N + POSE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +76,7 @@ class RadarOdometry:
         walk = max(settings.gyro_walk, GYRO_WALK)
         self.settings, self._mounting = replace(settings, gyro_walk=walk), mounting
         self._samples: Samples = prepare(inertial)
-        self._marked: tuple[float, State] | None = None
+        self._marked = Marked(settings.spacing)
         self._time = 0.0
         """Of the state, inertial clock, s."""
         self.x = State()
@@ -121,7 +120,7 @@ class RadarOdometry:
         P[:N] = Phi @ P[:N]
         P[:, :N] = P[:, :N] @ Phi.T
         P[:N, :N] += Q
-        if self._marked is None:
+        if self._marked.is_none:
             # The first pose is the world
             x, G = recentred(x)
             P[:N, :N] = G @ P[:N, :N] @ G.T
@@ -139,15 +138,13 @@ class RadarOdometry:
         if still is not None:
             self._fuse(no_turn(self.x, still, end - before))
         self.P[EXCESS] = self.P[:, EXCESS] = 0.0
-        travelled = None
-        if self._marked is not None:
-            travelled = relative_pose(*self._marked, end, self.x, self.P, 0.0)
+        travelled = self._marked.travelled(end, self.x, self.P)
         return Estimate(
             stamp=end,
             state=self.x,
             P=self.P[:N, :N].copy(),
             travelled=travelled,
-            relative=travelled if self._mark(end) else None,
+            relative=travelled if self._marked.renew(end, self.x, self.P) else None,
             match=match,
             clipped=path.clipped,
             lost=path.lost,
@@ -173,15 +170,6 @@ class RadarOdometry:
         P = A @ self.P @ A.T + K @ K.T
         self.P = 0.5 * (P + P.T)
         self.x = self.x.plus((K @ z)[:N])
-        return True
-
-    def _mark(self, stamp: float) -> bool:
-        """Mark the pose where the marked one is old enough; return whether it is."""
-        if self._marked is not None and stamp - self._marked[0] < self.settings.spacing - 0.01:
-            return False
-        self.P[MARKED] = self.P[:POSE]
-        self.P[:, MARKED] = self.P[:, :POSE]
-        self._marked = stamp, self.x
         return True
 
 
