@@ -32,6 +32,7 @@ from ekf_companion.lidar.recording import Mounting
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.relative_pose import FLU_TO_FRD
 
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
@@ -51,7 +52,6 @@ RECEIVE_BUFFER = 4 << 20
 READS = 64
 """Datagrams that are read before the loop does something else: 30 ms of a Mid-360."""
 LARGEST = 2048
-FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 _TURNED = np.kron(np.eye(2), FLU_TO_FRD)
 
 
@@ -247,7 +247,7 @@ class LidarProcess:
             self.sent += 1
 
     async def watch(self) -> None:
-        """Tell the lidar to send while it does not, and say what changes."""
+        """Ask the lidar to send while it does not, and report what changes."""
         while True:
             now_ns = time.monotonic_ns()
             is_sending = self._heard_ns > 0 and now_ns - self._heard_ns < SILENT_NS
@@ -270,7 +270,7 @@ class LidarProcess:
             await asyncio.sleep(TICK)
 
     def _configure(self) -> None:
-        """Tell the lidar to sample and to send here, by the address that it sees."""
+        """Ask the lidar to sample and to send here, by the address that it sees."""
         options = self.options
         self._number += 1
         with contextlib.suppress(OSError):  # no route yet

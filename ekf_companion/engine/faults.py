@@ -104,10 +104,7 @@ ENDS = (
 OF_ONE_SIZE = (Fault.DELAY, Fault.FADE, Fault.FADE_HEIGHT)
 """Their other component is no part of the size: what a delay is about, how fast it fades."""
 
-OF_NO_SIZE = (
-    *(Fault.POSITION_WILD, Fault.RECEIVER_WILD, Fault.VELOCITY_WILD, Fault.BARO_WILD),
-    *(Fault.CLIMB_WILD, Fault.HEIGHT_WILD, Fault.FALL_WILD),
-)
+OF_NO_SIZE = tuple(kind for kind in Fault if kind.name.endswith("_WILD"))
 """What is wrong in no shape has none."""
 
 

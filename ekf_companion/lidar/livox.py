@@ -18,6 +18,7 @@ import numpy as np
 
 from ekf_companion.lidar.recording import Mounting, Scan
 from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 POINT_PORT = 56301
 IMU_PORT = 56401
@@ -36,8 +37,6 @@ LAYOUTS = {
         [("depth", "<u4"), ("angles", "<u2", 2), ("reflectivity", "u1"), ("tag", "u1")]
     ),
 }
-G = 9.80665
-"""m/s2: its accelerometer measures in g."""
 MID_360 = Mounting(np.eye(3), np.array((-0.011, -0.02329, 0.04412)), np.radians(0.2), 0.002)
 """Of a Mid-360 on its own inertial sensor: that is at (11.0, 23.29, -44.12) mm in the lidar."""
 PERIOD_NS = 100_000_000
@@ -113,7 +112,7 @@ def decode(datagram: bytes) -> Points | Inertial | Refusal:
     gyro, accel = row["gyro"].astype(np.float64), row["accel"].astype(np.float64)
     if not (np.isfinite(gyro).all() and np.isfinite(accel).all()):
         return Refusal.NUMBERS
-    return Inertial(t_ns, gyro, accel * G, check)
+    return Inertial(t_ns, gyro, accel * STANDARD_GRAVITY, check)
 
 
 def scan_of(packets: Sequence[Points], base_ns: int) -> Scan:

@@ -11,6 +11,9 @@ not, falls silent, or is found at fault. The next one's readings are continued b
 difference, so that the biases that were estimated hold on; by how much they may not, and what the
 unit that is left has done until then, goes with its first sample. There is no way back but the
 same.
+
+The units, their pairs and which one is used only ever change together: so one class holds them,
+in a long file.
 """
 
 from __future__ import annotations

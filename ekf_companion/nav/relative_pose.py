@@ -13,6 +13,8 @@ import numpy as np
 from ekf_companion.nav.arrays import Array
 
 UPPER = np.triu_indices(6)
+FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
+"""From axes forward, left, up to forward, right, down; and back."""
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 COVARIANCE = tuple(
     f"rel_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*(one.tolist() for one in UPPER), strict=True)

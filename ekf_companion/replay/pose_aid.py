@@ -22,12 +22,11 @@ from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.direction import levelled
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.relative_pose import drift_by_tilt
+from ekf_companion.nav.relative_pose import FLU_TO_FRD, drift_by_tilt
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.pose_match import (
     DECISIVE,
     LEAST_COMMON,
-    TO_DOWN,
     Axes,
     Inertial,
     find_axes,
@@ -172,7 +171,7 @@ def to_events(poses: Poses, axes: Axes, level: float) -> Events:
 
     ``level`` is one sigma of the direction up where it is that of the log's samples, rad.
     """
-    to_n = TO_DOWN @ levelled(-axes.up_w)
+    to_n = FLU_TO_FRD @ levelled(-axes.up_w)
     C_nb = to_n @ so3.to_matrix(poses.q_wp) @ axes.C_bp.T
     yaw = np.arctan2(C_nb[:, 1, 0], C_nb[:, 0, 0])
     place = poses.pos_w @ to_n.T

@@ -19,6 +19,7 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.relative_pose import FLU_TO_FRD
 
 GAP = 5.0
 """Times the usual interval of the samples beyond which some are missing."""
@@ -42,8 +43,6 @@ ROUNDS = 5
 USUAL = 1e-3
 """Weight of the usual axes, of a rad/s or a g: they decide where nothing else does."""
 UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
-TO_DOWN = np.diag([1.0, -1.0, -1.0])
-"""From axes forward, left, up to forward, right, down; and back."""
 
 
 class Axes(NamedTuple):
@@ -231,7 +230,7 @@ def find_axes(poses: Poses, inertial: Inertial) -> Axes:
     Where the vehicle hardly turns, its body is taken for forward, left, up or forward, right, down,
     whichever fits its world.
     """
-    level = _axes_from(poses, inertial, TO_DOWN, UP)
+    level = _axes_from(poses, inertial, FLU_TO_FRD, UP)
     other = _axes_from(poses, inertial, np.eye(3), DOWN)
     return other if other.misfit < 0.5 * level.misfit else level
 

@@ -24,7 +24,7 @@ class ImuRow:
     accel: Annotated[Vector, 3]
     gyro_std: Real
     """The first of another unit, or of one that is doubted: one sigma of how its biases differ from
-    those that were estimated, rad/s; 0: neither."""
+    those that were estimated, rad/s; 0: neither; infinite: nobody knows."""
     accel_std: Real
     """m/s^2."""
     turned: Real

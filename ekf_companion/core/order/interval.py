@@ -28,7 +28,7 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.start import align, yaw_frame
 from cython.cimports.ekf_companion.core.trust import doubt
 from cython.cimports.ekf_companion.core.trust.process_noise import scale_noise
-from cython.cimports.libc.math import sqrt, tanh
+from cython.cimports.libc.math import isfinite, sqrt, tanh
 
 MOTION_TIME = cython.declare(cython.double, 0.4)
 """Time over which a vehicle's rate and force are correlated, s: what two samples say of the motion
@@ -39,8 +39,6 @@ FORCE_STD = cython.declare(cython.double, 6.7)
 """The same of its specific force beside that of a vehicle at rest, m/s^2."""
 COVARIANCE_INTERVAL = cython.declare(cython.double, 0.0095)
 """Interval at which P is carried on, s: 10 ms, give or take the samples' jitter."""
-UNKNOWN = cython.declare(cython.double, 1e3)
-"""What stands for one sigma of a bias of which nothing is known (``nav/lanes.py``)."""
 LARGEST_TURN = cython.declare(cython.double, 4.0)
 """Largest square of the turn, rad^2, that is integrated from one sample."""
 
@@ -190,11 +188,11 @@ def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap:
 def inflate_after_change(x: State, k: Parameters, imu: ImuRow) -> None:
     """Inflate P before the first sample of another inertial unit, or of one that is doubted.
 
-    By how much its biases may differ from those that were estimated, as at a start where nobody
-    knows, and by what the samples before may have done to attitude and velocity.
+    By how much its biases may differ from those that were estimated, as at a start where that is
+    infinite, and by what the samples before may have done to attitude and velocity.
     """
-    gyro = imu.gyro_std if imu.gyro_std < UNKNOWN else k.gyro_bias_std
-    accel = imu.accel_std if imu.accel_std < UNKNOWN else k.accel_bias_std
+    gyro = imu.gyro_std if isfinite(imu.gyro_std) else k.gyro_bias_std
+    accel = imu.accel_std if isfinite(imu.accel_std) else k.accel_bias_std
     for i in range(3):
         add_variance(x, E_BG + i, gyro * gyro)
         add_variance(x, E_BA + i, accel * accel)
