@@ -119,6 +119,12 @@ class Bank:
     """Begin of that block, ns."""
     common: Annotated[Vector, AIDS]
     """How many readings in a row say the same, as learnt: one, if they are white."""
+    read_t: Annotated[Vector, AIDS]
+    """When each aid was read last, ns."""
+    read_dt: Real
+    """How long ago the reading before the one that is judged was, s."""
+    erratic_var: Annotated[Vector, AIDS, 2]
+    """Mean square of the errors of an aid that is wrong in no shape, as learnt: level, vertical."""
     nothing: Real
     """Posterior probability that nothing is wrong."""
     since: Annotated[Vector, SOURCES]
@@ -211,6 +217,8 @@ class Bank:
     """Of each row: 0, it is level; 1, it is vertical."""
     wrong: Annotated[Vector, 2]
     """Probability that the source of the level, and of the vertical rows is wrong."""
+    erratic: Annotated[Vector, 2]
+    """The part of it that it is so in no shape."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     trial: Trial

@@ -28,6 +28,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_POS,
     E_VEL,
     FAULT_GYRO_NOISE,
+    FAULT_RECOVERY,
     MODE_NAVIGATE,
     SHOWS_ALL,
     SHOWS_LEVEL,
@@ -35,6 +36,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SOURCE_DRAG,
     SOURCE_NOISE,
     SOURCES,
+    N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -49,6 +51,8 @@ OUTLIER = cython.declare(cython.double, 10.6)
 """2 ln 200: one reading of 200 is an outlier."""
 OUTLIER_ROW = cython.declare(cython.double, 9.4)
 """2 ln 110, a row: its errors are so many times wider."""
+WANDERS = cython.declare(cython.double, 10.0)
+"""Time for which the errors of what is wrong in no shape are much the same, s."""
 BLOCK = cython.declare(cython.double, 2e9)
 """Time over which innovations of an aid are summed to see what they have in common, ns."""
 MEMORY = cython.declare(cython.double, 10.0)
@@ -114,10 +118,12 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         b.group[r] = 1.0 if is_vertical(o, r) else 0.0
     columns.observe(b, o, carried(x))
     b.is_observed = 1
+    b.read_dt = (x.t - b.read_t[aid]) * 1e-9
+    b.read_t[aid] = x.t
     for i in range(b.n):
         h = address(b.instance[i])
         if shape.is_wild(h.kind):
-            undo(k, b, i, o, aid)
+            undo(k, b, i, o, aid, 1.0)
             continue
         shape.find_direct(x, b, h, o, aid)
         for c in range(h.rows):
@@ -138,18 +144,54 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     b.work[1] = cost(b.work[1], b.rows[1])
     for i in range(b.n):
         weigh_reading(k, b, i, o, aid, b.work, share)
+    renew(k, b, aid)
     onsets.thin(x, k, b)
     find_posterior(x, k, b)
+    learn_erratic(k, b, o, aid)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         shape.keep_field_slope(b, o)
 
 
-def undo(k: Parameters, b: Bank, i: int, o: Observation, aid: int) -> None:
-    """Let what is wrong in no shape take back all that its source's rows correct."""
+def undo(k: Parameters, b: Bank, i: int, o: Observation, aid: int, sign: float) -> None:
+    """Let what is wrong in no shape take back all that its source's rows correct; -1: let it stay.
+
+    Under it the state is x + U, and not corrected at all: what x is corrected by is the innovation.
+    """
     g = shape.rows_of(aid, k.fault[b.instance[i].kind].source)
     for r in range(o.rows):
         if g >= 0 and g == (1 if b.group[r] != 0.0 else 0):
-            b.T[0][r][i] = o.z[r]
+            for e in range(N):
+                b.T[0][r][i] -= sign * o.H[r][e] * b.U[0][e][i]
+            b.T[0][r][i] += sign * o.z[r]
+
+
+def erratic_var(k: Parameters, b: Bank, aid: int, group: int) -> float:
+    """Return the mean square of the errors of an aid's rows when they are wrong in no shape."""
+    std = k.fault[shape.offset_of(aid, group)].std
+    learnt = b.erratic_var[aid][group]
+    return learnt if learnt > std * std else std * std
+
+
+def learn_erratic(k: Parameters, b: Bank, o: Observation, aid: int) -> None:
+    """Learn from a reading how large the errors of a source are that is wrong in no shape."""
+    find_wrong(k, b, aid)
+    for r in range(o.rows):
+        g = 1 if b.group[r] != 0.0 else 0
+        if b.erratic[g] > EVEN:
+            var = erratic_var(k, b, aid, g)
+            own = row_variance(o, r)
+            seen = o.z[r] * o.z[r] - own
+            weight = var / (var + own)
+            var += weight * weight * (seen - var) / (RECENT * b.rows[g])
+            b.erratic_var[aid][g] = var
+
+
+def row_variance(o: Observation, r: int) -> float:
+    """Return the variance of a row of the innovation."""
+    var = 0.0
+    for j in range(r + 1):
+        var += o.L[r][j] * o.L[r][j]
+    return var
 
 
 def cost(nis: float, rows: float) -> float:
@@ -168,9 +210,7 @@ def weigh_reading(
     """
     h = address(b.instance[i])
     if shape.is_wild(h.kind):
-        g = shape.rows_of(aid, k.fault[h.kind].source)
-        if g >= 0 and b.rows[g] > 0.0:
-            h.evidence += 0.5 * share * (nothing[g] - OUTLIER_ROW * b.rows[g])
+        weigh_erratic(k, b, h, o, aid, nothing, share)
         return
     to = address(b.trial)
     rows = h.rows
@@ -211,6 +251,47 @@ def weigh_reading(
         h.b[c] = to.b[c]
         for j in range(rows):
             h.M[c][j] = to.M[c][j]
+
+
+def weigh_erratic(
+    k: Parameters, b: Bank, h: Instance, o: Observation, aid: int, nothing: Vector, share: float
+) -> None:
+    """Add what a reading says to the evidence that its source is wrong in no shape.
+
+    Where the state is hardly known a reading that fits says little against it: it would then, too.
+    """
+    g = shape.rows_of(aid, k.fault[h.kind].source)
+    if g < 0 or b.rows[g] == 0.0:
+        return
+    wide = 0.0
+    for r in range(o.rows):
+        if g == (1 if b.group[r] != 0.0 else 0):
+            ratio = 1.0 + erratic_var(k, b, aid, g) / row_variance(o, r)
+            wide += o.y[r] * o.y[r] / ratio + log(ratio)
+    h.evidence += 0.5 * share * (nothing[g] - cost(wide, b.rows[g]))
+
+
+def renew(k: Parameters, b: Bank, aid: int) -> None:
+    """Let what was declared to be wrong in no shape be right again at any reading, once a minute.
+
+    The state owes nothing to its readings. So that nothing is wrong is that nothing is from now on;
+    it takes over what is beyond the odds of that, and all others are beside it.
+    """
+    most = -log(k.fault[FAULT_RECOVERY].rate * b.read_dt / 3600.0)
+    for i in range(b.n):
+        h = address(b.instance[i])
+        beyond = h.evidence + h.log_prior - most
+        if beyond > 0.0 and h.is_wide != 0.0 and shape.is_wild(h.kind):
+            if shape.rows_of(aid, k.fault[h.kind].source) >= 0:
+                take_over(k, b, k.fault[h.kind].shows, beyond)
+
+
+def take_over(k: Parameters, b: Bank, shows: int, beyond: float) -> None:
+    """Let nothing be as much more probable than any fault of such rows."""
+    for i in range(b.n):
+        of = address(k.fault[b.instance[i].kind])
+        if of.source != SOURCE_NOISE and (of.shows == shows or of.shows == SHOWS_ALL):
+            b.instance[i].evidence -= beyond
 
 
 def is_vertical(o: Observation, r: int) -> bool:
@@ -309,10 +390,23 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     find_wrong(k, b, aid)
     if b.wrong[0] <= EVEN and b.wrong[1] <= EVEN:
         return False
+    wandering = WANDERS / b.read_dt if b.read_dt < WANDERS else 1.0
     for r in range(o.rows):
-        if b.wrong[1 if is_vertical(o, r) else 0] > EVEN:
+        g = 1 if is_vertical(o, r) else 0
+        if is_mostly_erratic(b, g):
+            o.R[r][r] += erratic_var(k, b, aid, g) * wandering
+        elif b.wrong[g] > EVEN:
             o.R[r][r] += ANY
+    for i in range(b.n):
+        g = shape.rows_of(aid, k.fault[b.instance[i].kind].source)
+        if g >= 0 and shape.is_wild(b.instance[i].kind) and is_mostly_erratic(b, g):
+            undo(k, b, i, o, aid, -1.0)
     return True
+
+
+def is_mostly_erratic(b: Bank, group: int) -> bool:
+    """Return whether the source of such rows is more likely wrong than right, and in no shape."""
+    return b.wrong[group] > EVEN and b.erratic[group] > 0.5 * b.wrong[group]
 
 
 def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
@@ -321,13 +415,16 @@ def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
     As far as another one could contradict it: none a position and a velocity that are led away as
     if the vehicle were.
     """
-    b.wrong[0] = 0.0
-    b.wrong[1] = 0.0
+    for g in range(2):
+        b.wrong[g] = 0.0
+        b.erratic[g] = 0.0
     for i in range(b.n):
         kind = b.instance[i].kind
         g = shape.rows_of(aid, k.fault[kind].source)
         if g >= 0 and (k.fault[kind].source != SOURCE_DRAG or shape.is_wild(kind)):
             b.wrong[g] += b.instance[i].p
+            if shape.is_wild(kind):
+                b.erratic[g] += b.instance[i].p
 
 
 def explains(b: Bank) -> bool:
@@ -342,7 +439,7 @@ def explains(b: Bank) -> bool:
 def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
     """Return how much more often a source fails that has just failed: it fades in a minute."""
     failed_t = b.failed_t[k.fault[h.kind].source]
-    if failed_t <= 0.0 or shape.is_end(h.kind):
+    if failed_t <= 0.0 or shape.is_end(h.kind) or (shape.is_wild(h.kind) and h.is_wide != 0.0):
         return 1.0
     return 1.0 + AGAIN * exp(1e-9 * (failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
 

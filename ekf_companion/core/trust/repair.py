@@ -69,7 +69,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search, shape
-from cython.cimports.ekf_companion.core.trust.onsets import drop
+from cython.cimports.ekf_companion.core.trust.onsets import begin_instance, drop
 from cython.cimports.libc.math import exp, log
 
 SURE = cython.declare(cython.double, 0.99)
@@ -110,7 +110,10 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             b.since[source] = NEVER
             continue
         h = address(b.instance[best])
-        if b.since[source] <= NEVER or x.t < b.hold_t:
+        if shape.is_wild(h.kind) and h.is_wide != 0.0:
+            tell(x, b, h)
+            b.since[source] = NEVER
+        elif b.since[source] <= NEVER or x.t < b.hold_t:
             b.since[source] = x.t
         elif h.recent > THREE_SIGMA2 or not is_of_its_size(k, h):
             b.since[source] = x.t
@@ -119,16 +122,17 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             if k.weighs_faults == WEIGH_ACT:
                 b.since[source] = NEVER
                 if shape.is_wild(h.kind):
-                    take_back(x, k, o, best)
+                    take_back(x, k, o, best, p)
                 else:
                     repair(x, k, o, best, p)
                 return
 
 
-def take_back(x: State, k: Parameters, o: Observation, i: int) -> None:
+def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     """Take back what a source that is wrong in no shape has corrected since its onset.
 
-    That is as uncertain as it was large; and its next readings may be right again.
+    That is as uncertain as it was large. It goes on to be as probable, until readings say that they
+    are right again.
     """
     b = address(o.bank[0])
     kind = b.instance[i].kind
@@ -139,6 +143,11 @@ def take_back(x: State, k: Parameters, o: Observation, i: int) -> None:
     add_columns(x, b, i, o.dx, 1.0)
     inject(x, o)
     drop_others(k, b, k.fault[kind].shows, -1)
+    h = address(b.instance[begin_instance(x, k, b, kind, 0.0)])
+    p = p if p < SUREST else SUREST
+    h.log_prior = log(p / (1.0 - p))
+    h.is_wide = 1.0
+    h.p = p
 
 
 def is_of_its_size(k: Parameters, h: Instance) -> bool:

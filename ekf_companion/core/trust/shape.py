@@ -124,6 +124,15 @@ def rows_of(aid: int, source: int) -> int:
     return 1 if aid == AID_BARO and source == SOURCE_BARO else -1
 
 
+def offset_of(aid: int, group: int) -> int:
+    """Return the fault that is a constant offset of the level (0) or vertical (1) rows of an aid."""
+    if aid == AID_POSITION:
+        return FAULT_POSITION_STEP
+    if aid == AID_VELOCITY:
+        return FAULT_VELOCITY_STEP if group == 0 else FAULT_CLIMB_STEP
+    return FAULT_HEIGHT_STEP if aid == AID_HEIGHT else FAULT_BARO_STEP
+
+
 def first_axis(kind: int) -> int:
     """Return the first of the axes that an end is about: position n e d, barometer."""
     if kind == FAULT_RECOVERY or kind == FAULT_HALT or kind == FAULT_FADE:
