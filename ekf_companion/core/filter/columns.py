@@ -209,6 +209,7 @@ def correct(x: State, o: Observation) -> None:
     with, ``o.dx`` what the state was moved by.
     """
     b = address(o.bank[0])
+    was_judged = cython.declare(cython.bint, b.is_observed != 0)
     take_rows(x, b, o)
     states = carried(x)
     for c in range(3):
@@ -223,6 +224,9 @@ def correct(x: State, o: Observation) -> None:
             for r in range(o.rows):
                 add_row(b.U[c][e], -o.PHt[r][e], b.T[c][r], n)
         turn_rows(b, c, o.dx, n)
+    for r in range(o.rows if was_judged else 0):
+        for e in range(states):
+            b.led[b.judged][r] -= o.H[r][e] * o.dx[e]
 
 
 def correct_yaw(x: State, o: Observation) -> None:

@@ -123,6 +123,12 @@ class Bank:
     """When each aid was read last, ns."""
     read_dt: Real
     """How long ago the reading before the one that is judged was, s."""
+    led: Annotated[Vector, AIDS, 3]
+    """How far each row of an aid has been led away from ours, if it follows a wandering velocity."""
+    led_var: Annotated[Vector, AIDS, 3]
+    """Its variance."""
+    judged: Count
+    """Aid of the observation that was judged last."""
     erratic_var: Annotated[Vector, AIDS, 2]
     """Mean square of the errors of an aid that is wrong in no shape, as learnt: level, vertical."""
     nothing: Real
@@ -219,6 +225,8 @@ class Bank:
     """Probability that the source of the level, and of the vertical rows is wrong."""
     erratic: Annotated[Vector, 2]
     """The part of it that it is so in no shape."""
+    square: Annotated[Vector, 2]
+    """That times the mean square of the errors then."""
     ahead: Annotated[Vector, 3, 9]
     """Columns of an instance as of now."""
     trial: Trial

@@ -34,6 +34,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
     SOURCE_DRAG,
+    SOURCE_FALL,
     SOURCE_NOISE,
     SOURCES,
     N,
@@ -118,6 +119,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         b.group[r] = 1.0 if is_vertical(o, r) else 0.0
     columns.observe(b, o, carried(x))
     b.is_observed = 1
+    b.judged = aid
     b.read_dt = (x.t - b.read_t[aid]) * 1e-9
     b.read_t[aid] = x.t
     for i in range(b.n):
@@ -138,16 +140,18 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         g = 1 if b.group[r] != 0.0 else 0
         b.rows[g] += 1.0
         b.work[g] += o.y[r] * o.y[r]
-    find_wrong(k, b, aid)
+    find_wrong(x, k, b, aid)
     share = 1.0 / learn_common(x, b, o, aid, b.work[0] + b.work[1])
     b.work[0] = cost(b.work[0], b.rows[0])
     b.work[1] = cost(b.work[1], b.rows[1])
     for i in range(b.n):
         weigh_reading(k, b, i, o, aid, b.work, share)
+    if aid < AID_VELOCITY:
+        follow_led(k, b, o, aid)
     renew(k, b, aid)
     onsets.thin(x, k, b)
     find_posterior(x, k, b)
-    learn_erratic(k, b, o, aid)
+    learn_erratic(x, k, b, o, aid)
     if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
         shape.keep_field_slope(b, o)
 
@@ -165,20 +169,50 @@ def undo(k: Parameters, b: Bank, i: int, o: Observation, aid: int, sign: float) 
             b.T[0][r][i] += sign * o.z[r]
 
 
-def erratic_var(k: Parameters, b: Bank, aid: int, group: int) -> float:
-    """Return the mean square of the errors of an aid's rows when they are wrong in no shape."""
+def follow_led(k: Parameters, b: Bank, o: Observation, aid: int) -> None:
+    """Follow how far a position goes away that adds up what is wrong in its velocity."""
+    for r in range(o.rows):
+        var = usual_var(k, b, AID_VELOCITY, 1 if b.group[r] != 0.0 else 0)
+        b.led_var[aid][r] += var * b.read_dt * b.read_dt
+        gain = b.led_var[aid][r] / (b.led_var[aid][r] + row_variance(o, r))
+        b.led[aid][r] += gain * (o.z[r] - b.led[aid][r])
+        b.led_var[aid][r] *= 1.0 - gain
+
+
+def erratic_var(
+    k: Parameters, b: Bank, h: Instance, aid: int, group: int, since: float
+) -> float:
+    """Return the mean square of the errors of an aid's rows that are wrong in no shape.
+
+    A position whose velocity is so, too, is off by what that adds up to in the time, s.
+    """
+    var = usual_var(k, b, aid, group)
+    if not is_led_away(k, h, aid):
+        return var
+    grown = usual_var(k, b, AID_VELOCITY, group) * since * since
+    return grown if grown < var else var
+
+
+def is_led_away(k: Parameters, h: Instance, aid: int) -> bool:
+    """Return whether a fault leads away what an aid observes together with the velocity."""
+    source = k.fault[h.kind].source
+    return aid != AID_VELOCITY and (source == SOURCE_DRAG or source == SOURCE_FALL)
+
+
+def usual_var(k: Parameters, b: Bank, aid: int, group: int) -> float:
+    """Return the mean square of the errors of an aid that has been erratic for long."""
     std = k.fault[shape.offset_of(aid, group)].std
     learnt = b.erratic_var[aid][group]
     return learnt if learnt > std * std else std * std
 
 
-def learn_erratic(k: Parameters, b: Bank, o: Observation, aid: int) -> None:
+def learn_erratic(x: State, k: Parameters, b: Bank, o: Observation, aid: int) -> None:
     """Learn from a reading how large the errors of a source are that is wrong in no shape."""
-    find_wrong(k, b, aid)
+    find_wrong(x, k, b, aid)
     for r in range(o.rows):
         g = 1 if b.group[r] != 0.0 else 0
         if b.erratic[g] > EVEN:
-            var = erratic_var(k, b, aid, g)
+            var = usual_var(k, b, aid, g)
             own = row_variance(o, r)
             seen = o.z[r] * o.z[r] - own
             weight = var / (var + own)
@@ -258,7 +292,8 @@ def weigh_erratic(
 ) -> None:
     """Add what a reading says to the evidence that its source is wrong in no shape.
 
-    Where the state is hardly known a reading that fits says little against it: it would then, too.
+    Where the state is hardly known a reading that fits says little against it: it would then, too;
+    nor does a position whose velocity is wrong: it goes on from where it was.
     """
     g = shape.rows_of(aid, k.fault[h.kind].source)
     if g < 0 or b.rows[g] == 0.0:
@@ -266,8 +301,14 @@ def weigh_erratic(
     wide = 0.0
     for r in range(o.rows):
         if g == (1 if b.group[r] != 0.0 else 0):
-            ratio = 1.0 + erratic_var(k, b, aid, g) / row_variance(o, r)
-            wide += o.y[r] * o.y[r] / ratio + log(ratio)
+            own = row_variance(o, r)
+            if is_led_away(k, h, aid):
+                ratio = 1.0 + b.led_var[aid][r] / own
+                off = o.z[r] - b.led[aid][r]
+            else:
+                ratio = 1.0 + usual_var(k, b, aid, g) / own
+                off = o.z[r]
+            wide += off * off / (own * ratio) + log(ratio)
     h.evidence += 0.5 * share * (nothing[g] - cost(wide, b.rows[g]))
 
 
@@ -387,14 +428,14 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     b = address(o.bank[0])
     if x.t < b.hold_t:  # nothing is believed while the inertial noise leaps
         return False
-    find_wrong(k, b, aid)
+    find_wrong(x, k, b, aid)
     if b.wrong[0] <= EVEN and b.wrong[1] <= EVEN:
         return False
     wandering = WANDERS / b.read_dt if b.read_dt < WANDERS else 1.0
     for r in range(o.rows):
         g = 1 if is_vertical(o, r) else 0
         if is_mostly_erratic(b, g):
-            o.R[r][r] += erratic_var(k, b, aid, g) * wandering
+            o.R[r][r] += b.square[g] / b.erratic[g] * wandering
         elif b.wrong[g] > EVEN:
             o.R[r][r] += ANY
     for i in range(b.n):
@@ -409,7 +450,7 @@ def is_mostly_erratic(b: Bank, group: int) -> bool:
     return b.wrong[group] > EVEN and b.erratic[group] > 0.5 * b.wrong[group]
 
 
-def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
+def find_wrong(x: State, k: Parameters, b: Bank, aid: int) -> None:
     """Find how probable it is that the source of the level, and of the vertical rows is wrong.
 
     As far as another one could contradict it: none a position and a velocity that are led away as
@@ -418,13 +459,16 @@ def find_wrong(k: Parameters, b: Bank, aid: int) -> None:
     for g in range(2):
         b.wrong[g] = 0.0
         b.erratic[g] = 0.0
+        b.square[g] = 0.0
     for i in range(b.n):
         kind = b.instance[i].kind
         g = shape.rows_of(aid, k.fault[kind].source)
         if g >= 0 and (k.fault[kind].source != SOURCE_DRAG or shape.is_wild(kind)):
             b.wrong[g] += b.instance[i].p
             if shape.is_wild(kind):
-                b.erratic[g] += b.instance[i].p
+                h = address(b.instance[i])
+                b.erratic[g] += h.p
+                b.square[g] += h.p * erratic_var(k, b, h, aid, g, (x.t - h.t0) * 1e-9)
 
 
 def explains(b: Bank) -> bool:

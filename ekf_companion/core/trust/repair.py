@@ -136,6 +136,7 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     """
     b = address(o.bank[0])
     kind = b.instance[i].kind
+    onset = b.instance[i].t0
     columns.follow(x, b)
     b.declared[kind] += 1.0
     b.failed_t[k.fault[kind].source] = x.t
@@ -144,6 +145,7 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     inject(x, o)
     drop_others(k, b, k.fault[kind].shows, -1)
     h = address(b.instance[begin_instance(x, k, b, kind, 0.0)])
+    h.t0 = onset
     p = p if p < SUREST else SUREST
     h.log_prior = log(p / (1.0 - p))
     h.is_wide = 1.0
