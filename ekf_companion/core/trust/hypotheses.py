@@ -303,12 +303,12 @@ def weigh_erratic(
         if g == (1 if b.group[r] != 0.0 else 0):
             own = row_variance(o, r)
             if is_led_away(k, h, aid):
-                ratio = 1.0 + b.led_var[aid][r] / own
                 off = o.z[r] - b.led[aid][r]
+                own += b.led_var[aid][r]
+                wide += off * off / own + log(own / row_variance(o, r))
             else:
                 ratio = 1.0 + usual_var(k, b, aid, g) / own
-                off = o.z[r]
-            wide += off * off / (own * ratio) + log(ratio)
+                wide += o.z[r] * o.z[r] / (own * ratio) + log(ratio)
     h.evidence += 0.5 * share * (nothing[g] - cost(wide, b.rows[g]))
 
 
@@ -489,7 +489,11 @@ def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
 
 
 def find_posterior(x: State, k: Parameters, b: Bank) -> None:
-    """Find how probable each instance is; what is level and what is vertical may fail apart."""
+    """Find how probable each instance is; what is level and what is vertical may fail apart.
+
+    What begins to be wrong in no shape may be what is integrated as well, and no source: even odds
+    where that has been as noisy as configured, and the square of how much noisier it has been.
+    """
     most = 0.0
     whole = 0.0
     level = 0.0
@@ -523,3 +527,7 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
             h.p *= 1.0 + vertical / none
         elif k.fault[h.kind].shows == SHOWS_VERTICAL:
             h.p *= 1.0 + level / none
+        if shape.is_wild(h.kind) and h.is_wide == 0.0:
+            share = h.p / (1.0 + x.doubt * x.doubt)
+            b.nothing += h.p - share
+            h.p = share
