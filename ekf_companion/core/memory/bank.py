@@ -36,6 +36,8 @@ class Instance:
     own and of those that went into it."""
     evidence: Real
     """Log-likelihood of what came since, beside that of no fault."""
+    inertial: Real
+    """Of what is wrong in no shape: the evidence that it is what was integrated instead."""
     p: Real
     """Its posterior probability."""
     is_wide: Real

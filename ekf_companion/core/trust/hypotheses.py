@@ -299,17 +299,26 @@ def weigh_erratic(
     if g < 0 or b.rows[g] == 0.0:
         return
     wide = 0.0
+    nis = 0.0
     for r in range(o.rows):
         if g == (1 if b.group[r] != 0.0 else 0):
             own = row_variance(o, r)
+            var = own + usual_var(k, b, aid, g)
+            off = o.z[r]
             if is_led_away(k, h, aid):
-                off = o.z[r] - b.led[aid][r]
-                own += b.led_var[aid][r]
-                wide += off * off / own + log(own / row_variance(o, r))
-            else:
-                ratio = 1.0 + usual_var(k, b, aid, g) / own
-                wide += o.z[r] * o.z[r] / (own * ratio) + log(ratio)
-    h.evidence += 0.5 * share * (nothing[g] - cost(wide, b.rows[g]))
+                var = own + b.led_var[aid][r]
+                off -= b.led[aid][r]
+            wide += off * off / var + log(var / own)
+            nis += o.z[r] * o.z[r] / own
+    rows = b.rows[g]
+    wide = wide if wide < OUTLIER_ROW * rows else OUTLIER_ROW * rows
+    if not is_led_away(k, h, aid):
+        noisy = nis / GATE + log(GATE) * rows
+        h.inertial += 0.5 * share * (nothing[g] - cost(noisy, rows))
+    gain = 0.5 * share * (nothing[g] - wide)
+    if gain < 0.0 and h.is_wide != 0.0 and b.read_dt < WANDERS:
+        gain *= b.read_dt / WANDERS
+    h.evidence += gain
 
 
 def renew(k: Parameters, b: Bank, aid: int) -> None:
@@ -491,8 +500,9 @@ def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
 def find_posterior(x: State, k: Parameters, b: Bank) -> None:
     """Find how probable each instance is; what is level and what is vertical may fail apart.
 
-    What begins to be wrong in no shape may be what is integrated as well, and no source: even odds
-    where that has been as noisy as configured, and the square of how much noisier it has been.
+    What begins to be wrong in no shape may be what is integrated as well, and no source: three
+    times as noisy as taken. The odds before are even where it has been as noisy as configured, and
+    go by the square of how much noisier it has been.
     """
     most = 0.0
     whole = 0.0
@@ -528,6 +538,9 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
         elif k.fault[h.kind].shows == SHOWS_VERTICAL:
             h.p *= 1.0 + level / none
         if shape.is_wild(h.kind) and h.is_wide == 0.0:
-            share = h.p / (1.0 + x.doubt * x.doubt)
+            odds = x.doubt * x.doubt
+            if h.inertial < h.evidence:
+                odds *= exp(h.inertial - h.evidence)
+            share = h.p / (1.0 + odds)
             b.nothing += h.p - share
             h.p = share
