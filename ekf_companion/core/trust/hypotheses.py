@@ -53,7 +53,9 @@ OUTLIER = cython.declare(cython.double, 10.6)
 OUTLIER_ROW = cython.declare(cython.double, 9.4)
 """2 ln 110, a row: its errors are so many times wider."""
 WANDERS = cython.declare(cython.double, 10.0)
-"""Time for which the errors of what is wrong in no shape are much the same, s."""
+"""Time for which the errors of a position that is wrong in no shape are much the same, s."""
+SWINGS = cython.declare(cython.double, 3.0)
+"""The same of a velocity, s."""
 BLOCK = cython.declare(cython.double, 2e9)
 """Time over which innovations of an aid are summed to see what they have in common, ns."""
 MEMORY = cython.declare(cython.double, 10.0)
@@ -199,6 +201,12 @@ def is_led_away(k: Parameters, h: Instance, aid: int) -> bool:
     return aid != AID_VELOCITY and (source == SOURCE_DRAG or source == SOURCE_FALL)
 
 
+def alike(b: Bank, aid: int) -> float:
+    """Return how many readings of an aid in a row say much the same while it is erratic."""
+    many = (SWINGS if aid == AID_VELOCITY else WANDERS) / b.read_dt
+    return many if many > 1.0 else 1.0
+
+
 def usual_var(k: Parameters, b: Bank, aid: int, group: int) -> float:
     """Return the mean square of the errors of an aid that has been erratic for long."""
     std = k.fault[shape.offset_of(aid, group)].std
@@ -316,9 +324,7 @@ def weigh_erratic(
         noisy = nis / GATE + log(GATE) * rows
         h.inertial += 0.5 * share * (nothing[g] - cost(noisy, rows))
     gain = 0.5 * share * (nothing[g] - wide)
-    if gain < 0.0 and h.is_wide != 0.0 and b.read_dt < WANDERS:
-        gain *= b.read_dt / WANDERS
-    h.evidence += gain
+    h.evidence += gain if gain > 0.0 or h.is_wide == 0.0 else gain / alike(b, aid)
 
 
 def renew(k: Parameters, b: Bank, aid: int) -> None:
@@ -440,11 +446,10 @@ def open_rows(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     find_wrong(x, k, b, aid)
     if b.wrong[0] <= EVEN and b.wrong[1] <= EVEN:
         return False
-    wandering = WANDERS / b.read_dt if b.read_dt < WANDERS else 1.0
     for r in range(o.rows):
         g = 1 if is_vertical(o, r) else 0
         if is_mostly_erratic(b, g):
-            o.R[r][r] += b.square[g] / b.erratic[g] * wandering
+            o.R[r][r] += b.square[g] / b.erratic[g] * alike(b, aid)
         elif b.wrong[g] > EVEN:
             o.R[r][r] += ANY
     for i in range(b.n):
