@@ -61,7 +61,7 @@ def _files(folder: Path) -> Iterator[Path]:
     for name, is_folder in found:
         if is_folder:
             yield from _files(folder / name)
-        elif (folder / name).is_file():
+        else:
             yield folder / name
 
 
@@ -86,7 +86,7 @@ def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
         by_reason.setdefault(_why_not(path), []).append(path)
     groups = []
     for why, paths in sorted(by_reason.items()):
-        shown = ", ".join(printable(path) for path in paths[:SHOWN])
+        shown = ", ".join(showable(path) for path in paths[:SHOWN])
         more = f" and {len(paths) - SHOWN} more" if len(paths) > SHOWN else ""
         groups.append(f"{shown}{more} ({why})")
     return f"{counted(len(found), 'file')} left out: {'; '.join(groups)}"
@@ -101,6 +101,8 @@ def _why_not(path: Path) -> str:
     """Return why a file in a folder is left out; empty: it may be a log."""
     if suffix_of(path) not in SUFFIXES:
         return f"none of {', '.join(SUFFIXES)}"
+    if not path.is_file():
+        return "no file: a pipe, a device, or a link to none"
     if is_written(path):
         return OWN
     if suffix_of(path) != ".csv" or map_beside(path) is not None:
@@ -115,3 +117,8 @@ def _why_not(path: Path) -> str:
 def printable(text: object) -> str:
     r"""Return a text that any file may hold: bytes that are not UTF-8 as ``\udcff``."""
     return str(text).encode(errors="backslashreplace").decode()
+
+
+def showable(text: object) -> str:
+    r"""Return a text that changes no screen: what cannot be printed as ``\x1b``."""
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in str(text))

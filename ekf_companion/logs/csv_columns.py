@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,6 +85,8 @@ def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mappin
     if columns is not None:
         return f"{path} (columns)", columns
     if (beside := map_beside(path)) is None:
+        if os.path.lexists(name := _name_beside(path)):
+            raise LogError(f"{name}: is no file, or a link to none: mend it, or move it away")
         return str(path), {}
     try:
         found = read_yaml(beside, is_watched=False)
@@ -96,11 +99,15 @@ def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mappin
 
 def map_beside(path: Path) -> Path | None:
     """Return the map of a file's columns that stands beside it; None: there is none."""
-    beside = path.with_name(unpacked_name(path).name + ".columns.yaml")
+    beside = _name_beside(path)
     try:
         return beside if beside.is_file() else None
     except OSError:  # the log's name is so long that none can be longer
         return None
+
+
+def _name_beside(path: Path) -> Path:
+    return path.with_name(unpacked_name(path).name + ".columns.yaml")
 
 
 def from_map(where: str, name: str, entry: Any) -> Source:

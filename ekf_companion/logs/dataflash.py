@@ -280,7 +280,7 @@ def _gnss_heading(tables: Columns) -> Arrivals:
         return []
     table, t_ns = rows
     # 0 is "no yaw"; a receiver sends 360 for north
-    valid = (table["Status"] >= FIX_3D) & (table["Yaw"] != 0.0)
+    valid = (table["Status"] >= FIX_3D) & (table["Yaw"] != 0.0) & np.isfinite(table["Yaw"])
     std = np.full(len(table), GNSS_HEADING_STD)
     if (found := _accuracies(tables, t_ns)) is not None:
         std = np.deg2rad(_where_known(found[0], "YAcc", found[1], np.rad2deg(std)))

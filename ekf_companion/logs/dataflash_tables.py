@@ -120,6 +120,10 @@ def stamps_of(table: StoredRows) -> Iterator[Stamps]:
             yield t_ns
 
 
+UNKNOWN = {"GPS": ("Spd", "GCrs", "VZ", "Yaw")}
+"""Columns of a message in which NaN means that this one is not known."""
+
+
 def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
     """Return a message's rows with finite numbers, and their stamps; None if there is no row."""
     table = tables.get(name)
@@ -127,7 +131,7 @@ def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
         return None
     finite = np.ones(len(table), dtype=bool)
     for column in names_of(table):
-        if table[column].dtype.kind == "f":
+        if table[column].dtype.kind == "f" and column not in UNKNOWN.get(name, ()):
             finite &= np.isfinite(table[column].reshape(len(table), -1)).all(axis=1)
     if finite.all() and len(table):
         return table, t_ns

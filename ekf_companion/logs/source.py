@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import mmap
 import os
 import stat
@@ -29,6 +30,10 @@ PIECE = 1 << 12
 """Bytes of a gzip file that are unpacked at a time: as much is lost where it is damaged."""
 HEADER = 18
 """Largest size of the header of a Zstandard file."""
+MAGIC = {".gz": b"\x1f\x8b", ".zst": b"\x28\xb5\x2f\xfd"}
+"""How packed files begin (RFC 1952, RFC 8878); Zstandard's may begin with a skippable frame."""
+SKIPPABLE = b"\x2a\x4d\x18"
+"""What follows the first byte of one."""
 WINDOW = 1 << 27
 """Largest memory that a Zstandard file may ask for, the limit of its own program."""
 
@@ -208,6 +213,12 @@ def _blocks(file: BinaryIO, size: int = BLOCK) -> Iterator[bytes]:
 def _unpack(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     """Yield the content of a packed file; if it is damaged, that before the damage, with a note."""
     size = 0
+    head = file.peek(4)[:4] if isinstance(file, io.BufferedReader) else b""
+    if head and not head.startswith(MAGIC[path.suffix.lower()]) and head[1:] != SKIPPABLE:
+        raise LogError(
+            f"{path}: is not packed, or by another program than its name says; name it by what it "
+            "holds, or unpack it first"
+        )
     try:
         for block in _gunzip(file) if path.suffix.lower() == ".gz" else _unzstd(path, file):
             size += len(block)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ MOST_COLUMNS = 10_000
 SMALL = 1 << 20
 """Size, bytes, below which reading a table takes less time than importing Arrow."""
 LONGEST_LINE = 1 << 20
-"""Bytes of the first and last line that are looked at."""
+"""Bytes of a line, at most: 10 000 columns of a hundred."""
 BLOCK = 1 << 21
 """Bytes that Arrow reads at a time."""
 AT_ONCE = 1 << 14
@@ -90,14 +90,28 @@ class Table:
                     f"{self.path}: {what} column {name!r}; there are: {', '.join(self.names)}"
                 )
         body = self._whole_lines()
+        self._check_lines(body)
         if not names:
             return Spool(0)
         where = [self.names.index(name) for name in names]
         spool = _spool_columns(body, self._delimiter, len(self.names), where, self._file)
         if spool is None:
             spool = Spool(len(names))
-            spool.append(self._read_rows(bytes(body), where))
+            spool.append(self._read_rows(body, where))
         return spool
+
+    def _check_lines(self, body: memoryview) -> None:
+        """Refuse a line that no table has, which would be in memory several times.
+
+        Raises:
+            LogError: There is one.
+        """
+        for place in range(0, len(body) - LONGEST_LINE, LONGEST_LINE):
+            if b"\n" not in bytes(body[place : place + LONGEST_LINE]):
+                raise LogError(
+                    f"{self.path}: a line is longer than {LONGEST_LINE >> 20} MiB, so it is no "
+                    "table; check the file or its name"
+                )
 
     def _whole_lines(self) -> memoryview:
         """Return the lines below the header, without a last one that was cut short."""
@@ -109,24 +123,17 @@ class Table:
             return body[: len(body) - len(tail) + last]
         return body
 
-    def _read_rows(self, body: bytes, where: Sequence[int]) -> Array:
+    def _read_rows(self, body: memoryview, where: Sequence[int]) -> Array:
         """Return columns as rows; the reader reports which line is wrong, and how.
 
         Raises:
             LogError: A cell is no number, or a line is too short.
         """
-        mark = self._delimiter.encode()
-        body = body.replace(b"\r\n", b"\n").replace(b" ", b"").replace(b'"', b"")
-        if not body.strip():
+        if not any(line.strip() for line in self._lines(body)):
             return np.zeros((0, len(where)))
-        body += b"" if body.endswith(b"\n") else b"\n"
-        for _ in range(2):  # twice: of ",,," the first pass fills every other cell
-            body = body.replace(mark + mark, mark + b"nan" + mark)
-        body = body.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)
-        body = b"nan" + body if body.startswith(mark) else body
         try:
             rows: Array = np.loadtxt(
-                io.BytesIO(body),
+                self._lines(body),
                 delimiter=self._delimiter,
                 usecols=where,
                 comments=None,
@@ -139,6 +146,22 @@ class Table:
                 "mend or remove that line"
             ) from None
         return rows
+
+    def _lines(self, body: memoryview) -> Iterator[bytes]:
+        """Yield lines without what is no number; an empty cell becomes NaN."""
+        mark = self._delimiter.encode()
+        place = 0
+        while place < len(body):
+            block = bytes(body[place : place + BLOCK])
+            block = block[: block.rfind(b"\n") + 1] or block
+            place += len(block)
+            block = block.replace(b"\r\n", b"\n").replace(b" ", b"").replace(b'"', b"")
+            block += b"" if block.endswith(b"\n") else b"\n"
+            for _ in range(2):  # twice: of ",,," the first pass fills every other cell
+                block = block.replace(mark + mark, mark + b"nan" + mark)
+            block = block.replace(mark + b"\n", mark + b"nan\n")
+            block = block.replace(b"\n" + mark, b"\nnan" + mark)
+            yield from io.BytesIO(b"nan" + block if block.startswith(mark) else block)
 
 
 def _spool_columns(

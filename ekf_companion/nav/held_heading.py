@@ -6,7 +6,7 @@ import math
 
 ZERO, REPEATED = "0 where there is none", "repeated"
 """Why a heading is no measurement."""
-_HELD_NS = 1_000_000_000
+HELD_NS = 1_000_000_000
 """The slowest receiver has a new one each second."""
 _NORTH = math.radians(5.0)
 """rad; an exact 0 counts as measured where a heading nearer to north than this came just before."""
@@ -27,7 +27,13 @@ class HeldHeading:
         self._north_ns: int | None = None
 
     def judge(
-        self, t_ns: int, heading: float, *, is_still: bool, is_estimate: bool = False
+        self,
+        t_ns: int,
+        heading: float,
+        *,
+        is_still: bool,
+        is_estimate: bool = False,
+        is_north: bool = False,
     ) -> str | None:
         """Return why a heading is not a measurement; None if it is one.
 
@@ -37,11 +43,12 @@ class HeldHeading:
             is_still: Whether the vehicle may have kept its heading since this value first came.
             is_estimate: Whether it is an autopilot's estimate, made anew for each row: its few
                 digits may repeat by chance.
+            is_north: Whether a 0 is said to be north, and not that there is none.
         """
-        if heading == 0.0 and not self._may_be_north(t_ns):
+        if heading == 0.0 and not is_north and not self._may_be_north(t_ns):
             return ZERO
         if heading == self._last:
-            is_paced = not is_estimate and 0 <= t_ns - self._used_ns < _HELD_NS
+            is_paced = not is_estimate and 0 <= t_ns - self._used_ns < HELD_NS
             if not is_still or is_paced:
                 return REPEATED
         elif heading != 0.0:
@@ -55,4 +62,4 @@ class HeldHeading:
 
     def _may_be_north(self, t_ns: int) -> bool:
         """Return whether a heading near north came just before."""
-        return self._north_ns is not None and 0 <= t_ns - self._north_ns < 2 * _HELD_NS
+        return self._north_ns is not None and 0 <= t_ns - self._north_ns < 2 * HELD_NS

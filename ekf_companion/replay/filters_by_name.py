@@ -29,7 +29,7 @@ from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Status, join
 from ekf_companion.replay.moments import Moment
-from ekf_companion.replay.own_checks import check_solution, checked_aids
+from ekf_companion.replay.own_checks import check_callable, check_solution, checked_aids
 
 if TYPE_CHECKING:
     from ekf_companion.filters.ahrs_article import Preset
@@ -121,7 +121,13 @@ def run_filter(
     said: tuple[str, ...] = ()
     if callable(name):
         label, option, run = getattr(name, "__name__", "own filter"), "", name
+        check_callable(label, name)
     else:
+        if not isinstance(name, str):
+            raise ConfigError(
+                f"filter: {name!r:.60} is none: give a name ({', '.join(FILTERS)}), or a function "
+                "of recording, settings and option"
+            )
         label, option = parse_name(name)
         run = FILTERS[label.partition(":")[0]].run
     if aids:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,7 @@ class _Checked:
 
     def __init__(self, aid: Observation, t_ns: int) -> None:
         self._aid, self._where = aid, f"{type(aid).__name__} at {t_ns * 1e-9:.3f} s"
+        self._rows: tuple[int, str] | None = None  # of what it returned first, and its name
 
     @property
     def aid(self) -> str:
@@ -83,6 +85,7 @@ class _Checked:
             self._refuse("covariance", f"the shape {R.shape}, not (m, m) with 1 to 3 rows")
         if not np.allclose(R, R.T, rtol=1e-9, atol=0.0) or np.linalg.eigvalsh(R)[0] <= 0.0:
             self._refuse("covariance", "no covariance: it must be symmetric and positive definite")
+        self._agree("covariance", len(R))
         return R
 
     def innovation(self, state: Nominal) -> Array:
@@ -93,6 +96,7 @@ class _Checked:
             wanted = ", ".join([*map(str, leading), "m"])
             rows = f"with m from 1 to {MOST_ROWS}{index}"
             self._refuse("innovation", f"the shape {z.shape}, not ({wanted}) {rows}")
+        self._agree("innovation", z.shape[-1])
         return z
 
     def jacobian(self, state: Nominal) -> Array:
@@ -100,11 +104,21 @@ class _Checked:
         H = self._numbers("jacobian", self._aid.jacobian(state))
         if H.ndim != 2 or H.shape[1] != N or not 1 <= len(H) <= MOST_ROWS:
             self._refuse("jacobian", f"the shape {H.shape}, not (m, {N})")
+        self._agree("jacobian", len(H))
         return H
+
+    def _agree(self, method: str, m: int) -> None:
+        """Refuse an answer of as many numbers as another one has not."""
+        self._rows = self._rows or (m, method)
+        if m != self._rows[0]:
+            self._refuse(method, f"m = {m}, and {self._rows[1]}() m = {self._rows[0]}")
 
     def _numbers(self, method: str, given: Any) -> Array:
         try:
-            values = np.asarray(given, dtype=np.float64)
+            found = np.ma.asarray(given)
+            if found.dtype.kind not in "biufO":
+                raise TypeError("no real numbers")
+            values = np.ma.filled(found.astype(np.float64), np.nan)
         except (TypeError, ValueError):
             self._refuse(method, f"{_said(given)}, not numbers")
         if not np.isfinite(values).all():
@@ -113,6 +127,24 @@ class _Checked:
 
     def _refuse(self, method: str, what: str) -> Any:
         raise DataError(f"{self._where}: {method}() returned {what}")
+
+
+def check_callable(name: str, run: Callable[..., Any]) -> None:
+    """Refuse a filter that does not take recording, settings and option.
+
+    Raises:
+        DataError: The sentence says so.
+    """
+    try:
+        taken = inspect.signature(run)
+    except (TypeError, ValueError):
+        return  # a compiled function may have none
+    try:
+        taken.bind(None, None, "")
+    except TypeError:
+        raise DataError(
+            f"{name}{taken}: a filter is a function of recording, settings and option"
+        ) from None
 
 
 def check_solution(name: str, found: Any) -> None:

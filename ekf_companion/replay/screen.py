@@ -12,7 +12,7 @@ import numpy as np
 
 from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.earth import is_place
-from ekf_companion.nav.held_heading import HeldHeading
+from ekf_companion.nav.held_heading import HELD_NS, HeldHeading
 from ekf_companion.nav.held_velocity import HELD, SINGLE, HeldVelocities
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
 from ekf_companion.nav.repetition import Repetition
@@ -26,6 +26,8 @@ NO_FIELD = "of zeros"
 """Why a fix and why a magnetic field are none; the other reasons are those of ``nav``."""
 GYRO_BIAS = 0.005
 """rad/s: a gyro may seem to turn so fast when it does not, after its autopilot's calibration."""
+DIGIT = 0.005
+"""rad: such a turn moves a level field of 0.2 gauss by 1 mG, the coarsest digit of a log."""
 LONGEST_STEP = 1.0
 """s; what a gyro turned in a longer gap is not known."""
 
@@ -46,6 +48,9 @@ class Screen:
         self._since: dict[float, tuple[int, Array]] = {}  # time and attitude of the last new one
         self._imu_ns: int | None = None
         self._turned: Array = np.zeros(3)
+        self._field: Array = np.full(4, np.nan)  # the last, and what was when it came first
+        self._field_ns = self._field_used_ns = 0
+        self._field_turned: Array = np.zeros(3)
 
     def pass_on(self, events: Events) -> Events:
         """Return the next events without those that are no measurement."""
@@ -59,6 +64,7 @@ class Screen:
         is_good[imu] = self._repetition.judge_rows(events.t_ns[imu], events.values[imu, :6])
         is_good[mag] = events.values[mag, :3].any(axis=1)
         self._count(Kind.MAG, NO_FIELD, int(np.count_nonzero(~is_good[mag])))
+        is_good[mag] &= self._are_fields(events, mag, turned)
         is_good[kinds[Kind.GNSS]] = self._are_places(events, kinds[Kind.GNSS])
         events = self._without_velocities(events, kinds[Kind.GNSS])
         return events if is_good.all() else events.take(is_good)
@@ -109,6 +115,31 @@ class Screen:
                 self._count(Kind.HEADING, why)
         return is_good
 
+    def _are_fields(self, events: Events, rows: Indices, turned: Array) -> Mask:
+        """Return which magnetic fields are new ones.
+
+        One that repeats to the bit counts once a second, as long as the vehicle has not turned.
+        """
+        values = events.values[rows, :4]
+        same = (values == np.vstack([self._field, values[:-1]])).all(axis=1)
+        is_good = ~same
+        at = np.searchsorted(np.flatnonzero(events.kind == Kind.IMU), rows)
+        # When the field came first, when it counted last, and how far the gyro had turned then
+        for n in np.flatnonzero(same | np.append(same[1:], True)).tolist():
+            t_ns, now = int(events.t_ns[rows[n]]), turned[at[n]]
+            if not same[n]:
+                self._field_ns = self._field_used_ns = t_ns
+                self._field_turned = now
+                continue
+            angle = float(np.linalg.norm(now - self._field_turned))
+            angle -= GYRO_BIAS * abs(t_ns - self._field_ns) * 1e-9
+            is_good[n] = angle < DIGIT and t_ns - self._field_used_ns >= HELD_NS
+            if is_good[n]:
+                self._field_used_ns = t_ns
+        if len(rows):
+            self._field = values[-1]
+        return np.asarray(is_good)
+
     def _are_places(self, events: Events, rows: Indices) -> Mask:
         """Return which fixes have a place, or are not finite, which the filter counts."""
         lat, lon = np.rad2deg(events.values[rows, :2]).T
@@ -123,6 +154,14 @@ class Screen:
         before. But where a receiver has said others, and then repeats one of motion, its first was
         a measurement.
         """
+        vel = events.values[rows, GNSS_VELOCITY]
+        is_half = np.isfinite(vel[:, :2]).sum(axis=1) == 1
+        if is_half.any() or np.isinf(vel).any():
+            # What is known in part is not known
+            values = events.values.copy()
+            vel[is_half, :2] = np.nan
+            values[rows, GNSS_VELOCITY] = np.where(np.isinf(vel), np.nan, vel)
+            events = replace(events, values=values)
         numbers = np.zeros((len(rows), 2), dtype=np.int64)
         whole: dict[tuple[int, int], str] = {}  # by part and number of the velocity
         single: list[tuple[int, int, str]] = []  # place, part, and why

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.repetition import STUCK, ZERO
 from ekf_companion.replay.screen import Screen
 
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
@@ -81,7 +82,9 @@ NO_SAMPLES = StampCount(0)
 
 def of_columns(screen: Screen, lost_share: float) -> StampCount:
     """Return what the screen of a columnar log found; of its rows a share was left out before."""
-    return StampCount(screen.total[Kind.IMU], screen.repeated, screen.back, lost_share)
+    refused = screen.left_out
+    judged = screen.total[Kind.IMU] - refused[Kind.IMU, STUCK] - refused[Kind.IMU, ZERO]
+    return StampCount(judged, screen.repeated, screen.back, lost_share)
 
 
 def of_telemetry(

@@ -316,6 +316,34 @@ def test_a_file_with_an_odd_name_stops_no_other(tmp_path, folder, name):
     assert all(row["why"] for row in rows.values() if row["outcome"] == "failed")
 
 
+def test_what_is_no_file_is_left_out_by_name(tmp_path):
+    os.mkfifo(tmp_path / "pipe.tlog")
+    (tmp_path / "absent.bin").symlink_to("nowhere.bin")
+    (tmp_path / "circle.ulg").symlink_to("circle.ulg")
+    (tmp_path / "endless.csv").symlink_to("/dev/zero")
+    (tmp_path / "flight.tlog").write_bytes(b"")
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["flight.tlog"]
+    words = left_out([str(tmp_path)], logs)
+    assert words.startswith("4 files left out: ")
+    assert words.endswith("(no file: a pipe, a device, or a link to none)")
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("\x1b[2Jclear.csv", r"\x1b[2Jclear.csv"),
+        ("two\nlines.csv", r"two\nlines.csv"),
+        ("back\rward.csv", r"back\rward.csv"),
+        ("\u202evsc.tfel", r"\u202evsc.tfel"),
+        ("größe °.csv", "größe °.csv"),
+    ],
+)
+def test_no_name_changes_the_screen(name, shown):
+    row = {"log": name, "outcome": "failed", "why": f"{name}: none"}
+    assert lines([row])[0] == f"{shown}  failed: {shown}: none"
+
+
 def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in (

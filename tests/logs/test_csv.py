@@ -197,6 +197,13 @@ def test_a_map_that_is_no_yaml_is_refused(read):
         read("t,h\n1,2\n", beside="time: {column: t\n  x: [")
 
 
+@pytest.mark.parametrize("target", ["absent.yaml", "log.csv.columns.yaml", "/dev/zero", "."])
+def test_a_map_that_is_no_file_is_refused(read, tmp_path, target):
+    (tmp_path / "log.csv.columns.yaml").symlink_to(target)
+    with pytest.raises(LogError, match=r"columns\.yaml: is no file, or a link to none"):
+        read("time_s,baro_alt_m\n1,10\n")
+
+
 def test_a_last_line_cut_short_is_left_out(read):
     assert len(read("time_s,baro_alt_m,x_m\n1,10,0\n2,20,0\n3,3").events) == 2
 
@@ -340,7 +347,7 @@ def test_a_packed_file_that_was_cut_gives_what_is_whole_in_it_and_says_so(tmp_pa
     np.testing.assert_allclose(log.events.values[:, 0], noise[: len(log.events)], atol=1e-9)
     assert 0.2 * len(noise) < len(log.events) < 0.6 * len(noise)
     assert log.notes == ("the packed file is cut short: what comes before that was read",)
-    path.write_bytes(b"none of them")
+    path.write_bytes(packed[:4] + b"damage all over")
     with pytest.raises(LogError, match=r"log\.csv\.(gz|zst): cannot be unpacked, it is damaged"):
         open_log(path)
 

@@ -4,6 +4,7 @@ What was quadratic took minutes for a megabyte; here the time-out of a test tell
 """
 
 import gzip
+import lzma
 import mmap
 import tempfile
 import tracemalloc
@@ -232,3 +233,56 @@ def test_without_room_to_unpack_it_says_where(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "absent"))
     with pytest.raises(LogError, match=r"no room to unpack it in .*absent \(No such file.*TMPDIR"):
         open_log(path)
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".zst"])
+@pytest.mark.parametrize("content", [CSV_HEAD, lzma.compress(CSV_HEAD), b"PK\3\4" + CSV_HEAD])
+def test_what_is_not_packed_as_its_name_says_is_not_called_damaged(tmp_path, suffix, content):
+    path = tmp_path / f"flight.csv{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match="is not packed, or by another program than its name says"):
+        open_log(path)
+
+
+def test_what_may_be_skipped_stands_before_the_content(tmp_path):
+    path = tmp_path / "flight.ulg.zst"
+    content = MAGIC + bytes(HEADER - len(MAGIC)) + small_ulog(n=50)
+    skipped = b"\x50\x2a\x4d\x18" + (4).to_bytes(4, "little") + b"abcd"
+    path.write_bytes(skipped + zstandard.compress(content))
+    assert bytes(MappedFile(path, "log").data) == content
+
+
+def test_a_line_that_no_table_has_is_refused_in_little_memory(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_bytes(CSV_HEAD + b"1,2,3,4,5,6,7\n" * 10 + b"1," * (1 << 25))
+    tracemalloc.start()
+    with pytest.raises(LogError, match="a line is longer than 1 MiB"):
+        open_log(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2.5 * source.LARGE
+
+
+def test_lines_of_other_widths_are_refused_in_little_memory(tmp_path):
+    """The whole table was copied four times."""
+    path = tmp_path / "flight.csv"
+    path.write_bytes(CSV_HEAD + b"1,2,3,4,5,6,7\n" * 10 + b"1,2\n" * (1 << 25))
+    tracemalloc.start()
+    with pytest.raises(LogError, match="at row 11"):
+        open_log(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < source.LARGE
+
+
+def test_a_table_is_the_same_in_blocks_where_lines_differ(tmp_path, monkeypatch):
+    path = tmp_path / "flight.csv"
+    lines = [f'{n},"{n * 0.5}",,,1{", 7" * (n % 3)}\r\n' for n in range(300)]
+    path.write_text("a,b,c,d,e\n" + "".join(lines), newline="")
+    whole = Table(path).read(["a", "b", "d", "e"])
+    monkeypatch.setattr(table, "BLOCK", 100)
+    pieces = Table(path).read(["a", "b", "d", "e"])
+    assert [*pieces["a"]] == [*range(300)]
+    assert np.isnan(pieces["d"]).all()
+    for name, column in whole.items():
+        assert pieces[name].tobytes() == column.tobytes()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ekf_companion import OwnAid
-from ekf_companion.errors import DataError
+from ekf_companion.errors import ConfigError, DataError
 from ekf_companion.filters import mahony
 from ekf_companion.nav.state import COLUMNS, Table
 from tests.arrays.test_run import Flown
@@ -102,6 +102,14 @@ def test_dates_are_times_of_aids_where_they_are_those_of_the_samples(flown):
         (lambda t: [(t, Down(lambda state: None))], r"innovation\(\) returned"),
         (lambda t: [(t, Down(lambda state: "high"))], r"innovation\(\) returned str 'high', not n"),
         (lambda t: [(t, Down(lambda state: np.zeros(4)))], r"the shape \(4,\), not"),
+        (lambda t: [(t, Down(lambda state: np.array([1j])))], "array.*, not numbers"),
+        (lambda t: [(t, Down(lambda state: np.array(["2026"], "M8[s]")))], "array.*, not numbers"),
+        (
+            lambda t: [(t, Down(lambda state: np.ma.masked_all(1)))],
+            r"innovation\(\) returned nan",
+        ),
+        (lambda t: [(t, Down(R=np.eye(2)))], r"covariance\(\) returned m = 2, and innovation"),
+        (lambda t: [(t, Down(H=np.zeros((2, 15))))], r"jacobian\(\) returned m = 2, and innovatio"),
         (lambda t: [(t, Down(R=4.0))], r"covariance\(\) returned the shape \(\), not \(m, m\)"),
         (lambda t: [(t, Down(R=np.array([[-1.0]])))], "symmetric and positive definite"),
         (lambda t: [(t, Down(R=np.array([[1.0, 2.0], [0.0, 1.0]])))], "symmetric and positive"),
@@ -168,6 +176,19 @@ def with_table(change):
 )
 def test_a_filter_that_returns_nonsense_is_named(flown, own, sentence):
     with pytest.raises(DataError, match=sentence):
+        flown.estimate(baro=None, gnss=None, filter=own)
+
+
+@pytest.mark.parametrize(
+    ("own", "sentence"),
+    [
+        (None, "filter: None is none: give a name"),
+        (5, "filter: 5 is none: give a name"),
+        (lambda recording, settings: None, "a filter is a function of recording, settings and opt"),
+    ],
+)
+def test_what_is_no_filter_is_named(flown, own, sentence):
+    with pytest.raises((ConfigError, DataError), match=sentence):
         flown.estimate(baro=None, gnss=None, filter=own)
 
 

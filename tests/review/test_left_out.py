@@ -1,5 +1,7 @@
 """Rows that are no measurement: the same becomes of them in every kind of log and message."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,10 @@ from ekf_companion.errors import LogError
 from ekf_companion.nav.held_heading import REPEATED
 from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD, MOVING, HeldVelocities
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
-from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
 from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.screen import Screen
 from ekf_companion.review.evidence import Evidence
 from ekf_companion.review.left_out import NO_FIELD, VERTICAL_ZERO, LeftOut, of_telemetry
 from ekf_companion.review.verdict import judge
@@ -206,6 +209,62 @@ def test_a_heading_of_0_is_none_where_the_vehicle_does_not_point_north(rows, kin
     found = convert(rows, kind, tmp_path, has_heading=True)
     assert worst(found.yaw, found, 20.0) < 3.0
     assert verdict(found) == "good: no resets"
+
+
+@in_every_format
+def test_a_heading_of_360_that_is_held_counts_no_more_than_any_other(rows, kind, tmp_path):
+    """In a message it is north, and was used each time: 21 % of the headings refused."""
+    rows.heading[(rows.fix_since > 20.0) & (rows.fix_since < 30.0)] = 360.0
+    found = convert(rows, kind, tmp_path, has_heading=True)
+    assert worst(found.yaw, found, 20.0) < 3.0
+    assert verdict(found) == "good: no resets"
+
+
+@in_every_format
+def test_a_field_that_is_frozen_is_no_field(rows, kind, tmp_path):
+    """A table's was used again and again until it was refused: yaw 4.7 deg off."""
+    since = (rows.mag_ns - BOOT_NS) * 1e-9
+    is_frozen = (since > 30.0) & (since < 45.0)
+    rows.mag[is_frozen] = rows.mag[is_frozen][0]
+    found = convert(rows, kind, tmp_path)
+    reason = r"\(no compass [\d.]+ s\)"
+    assert re.fullmatch(rf"(fair|poor): degraded for \d+ s {reason}", verdict(found))
+    assert worst(found.yaw, found, 20.0) < 3.0
+
+
+def test_a_field_that_repeats_at_rest_counts_once_a_second():
+    """Of a simulator without noise a vehicle at rest has no other."""
+    t_ns = BOOT_NS + np.arange(500) * 10_000_000
+    sample = (0.0, 0.0, 0.0, 0.0, 0.0, -9.81)
+    found = []
+    for turn in (0.0, 0.1):
+        samples = np.tile(sample, (len(t_ns), 1)) + 1e-6 * np.arange(len(t_ns))[:, None]
+        samples[:, 2] += turn
+        imu = Events.from_columns(t_ns, Kind.IMU, *samples.T)
+        mag = Events.from_columns(t_ns[::10], Kind.MAG, *np.tile((0.2, 0.0, 0.4), (50, 1)).T)
+        out = Screen().pass_on(merge(imu, mag))
+        found.append(np.count_nonzero(out.kind == Kind.MAG))
+    assert found == [5, 1]
+
+
+@in_every_format
+def test_zeros_between_the_samples_do_not_make_the_others_late(rows, kind, tmp_path):
+    """One sample in ten was none, and ten in a hundred were said to have come too late."""
+    rows.imu[np.flatnonzero((rows.since > 20.0) & (rows.since < 50.0))[1::4]] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[ZERO] == pytest.approx(750, abs=1)
+    assert "too late" not in verdict(found) + found.notes
+
+
+@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_velocity_that_is_no_number_costs_no_position(rows, kind, value, tmp_path):
+    """The fixes were left out in .csv and .bin, and were "without a 3-D fix" in the words."""
+    rows.fix[(rows.fix_since > 20.0) & (rows.fix_since < 30.0), 3] = value
+    found = convert(rows, kind, tmp_path)
+    assert verdict(found) == "good: no resets"
+    assert "without a 3-D fix" not in found.notes
+    assert worst(found.distance, found, 20.0) < 2.0
 
 
 @in_every_format

@@ -260,7 +260,8 @@ class Fixes:
             return fixes
         t_ns, heading = fixes[0].t_ns, wrap(math.radians(m.yaw * 1e-2))
         is_still = m.vel != _UNKNOWN_16 and m.vel * 1e-2 < _STD_VEL
-        if heading and (why := receiver.yaw.judge(t_ns, heading, is_still=is_still)):
+        # In a message a yaw of 0 is none, and 360 deg is north
+        if why := receiver.yaw.judge(t_ns, heading, is_still=is_still, is_north=True):
             self._refuse(receiver, f"yaw {why}")
             return fixes
         std = yaw_std(m.hdg_acc)
