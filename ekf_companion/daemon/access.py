@@ -12,6 +12,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import logging
+import re
 import secrets
 import socket
 import threading
@@ -164,9 +165,15 @@ def _is_ours(host: str, names: frozenset[str]) -> bool:
 
 def _without_port(host: str) -> str:
     if host.startswith("["):
-        name, _, port = host[1:].partition("]")
-        return name if not port or (port[0] == ":" and port[1:].isdecimal()) else host
-    return host.rpartition(":")[0] if host.count(":") == 1 else host
+        name, bracket, port = host[1:].partition("]")
+        return name if bracket and _is_port(port) else host
+    name, colon, port = host.partition(":")
+    return name if _is_port(colon + port) else host
+
+
+def _is_port(text: str) -> bool:
+    """Return whether a text is a port behind a colon, either of which may be missing."""
+    return re.fullmatch("(:[0-9]*)?", text) is not None
 
 
 def _is_address(name: str) -> bool:

@@ -39,6 +39,10 @@ def test_addresses_and_own_names_are_answered(host):
         "x:y:z",
         "[::1].evil.example",
         "[::1]:evil",
+        "[::1",
+        "localhost:evil",
+        "localhost:9331.evil.example",
+        "127.0.0.1:\u0661",
     ],
 )
 def test_a_name_that_somebody_lets_point_here_is_refused(host):
