@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import count, islice
 from typing import Any
 
-from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.errors import ConfigError, UnreachableError, part_of
 from ekf_companion.fleet.build import build_name
 from ekf_companion.fleet.executor import ATTEMPTS, KILLED, Item, Lost, Result, bug
+from ekf_companion.fleet.remote import shown
 
 LOCAL = "local"
 """The address that means workers on this machine."""
@@ -34,7 +35,8 @@ class Dask:
         Raises:
             MissingPackageError: Dask is not installed.
         """
-        with part_of("fleet", f"--dask {address}"):
+        self._option = f"--dask {shown(address)}"
+        with part_of("fleet", self._option):
             import distributed  # noqa: F401
         self._address, self._jobs = address, jobs
 
@@ -47,6 +49,7 @@ class Dask:
 
         Raises:
             ConfigError: No scheduler answers, it has no workers, or they run another version.
+            UnreachableError: The scheduler ended, or was restarted.
         """
         from distributed import as_completed
 
@@ -64,6 +67,11 @@ class Dask:
             for item in islice(left, ahead):
                 submit(item, 1)
             for future in completed:
+                if future.cancelled():  # by nobody here
+                    raise UnreachableError(
+                        f"{self._option}: the scheduler was lost; once it runs again, run the same "
+                        "command: it goes on where this one ended"
+                    )
                 item, attempt = pending.pop(future.key)
                 outcome = _outcome(future)
                 future.release()
@@ -91,7 +99,7 @@ class Dask:
             return _Closing(Client(self._address, timeout=PATIENCE_S))
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"--dask {self._address}: no Dask scheduler answers there "
+                f"{self._option}: no Dask scheduler answers there "
                 f"({type(error).__name__}); start one with `dask scheduler`, or use --dask local"
             ) from None
 
@@ -101,8 +109,8 @@ class Dask:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except OSError:
             raise ConfigError(
-                f"--dask {self._address}: the scheduler has no worker; start some with "
-                f"`dask worker {self._address}`"
+                f"{self._option}: the scheduler has no worker; start some with "
+                f"`dask worker {shown(self._address)}`"
             ) from None
         ours = build_name()
         try:
@@ -111,7 +119,7 @@ class Dask:
             others = {"no ekf-companion, or an older one"}
         if others:
             raise ConfigError(
-                f"--dask {self._address}: its workers have {', '.join(sorted(others))}, and this "
+                f"{self._option}: its workers have {', '.join(sorted(others))}, and this "
                 f"is {ours}; install the same on all"
             )
         return sum(client.nthreads().values())

@@ -136,13 +136,13 @@ def pack(names: Sequence[str], into: Partition) -> None:
 
     name = f"{PACKED}{hashlib.blake2b(' '.join(names).encode(), digest_size=16).hexdigest()}"
     for table in reversed(tuple(TABLES)):
-        parts, keys = [], set()
+        parts, keys = [], set[str]()
         for _, part in read_files(into.folder(table), None, names):
-            key = part.column("key")[0].as_py()
             # A log that was only touched has two rows, for their marks, and its events once
-            if table == "logs" or key not in keys:
+            fresh = {*part.column("key").to_pylist()} - keys
+            if fresh if table != "logs" else len(part):
                 parts.append(part)
-                keys.add(key)
+                keys |= fresh
         if parts:
             _write(f"{into.folder(table)}/{name}.parquet", pa.concat_tables(parts))
     for table in TABLES:
@@ -234,6 +234,9 @@ def _write(path: str, table: Any) -> None:
             system.pipe_file(inner, buffer.getvalue())
             return
         Path(inner).parent.mkdir(parents=True, exist_ok=True)
-        part = f"{inner}.{os.getpid()}.part"
-        Path(part).write_bytes(buffer.getvalue())
-        Path(part).replace(inner)
+        part = Path(f"{inner}.{os.getpid()}.part")
+        try:
+            part.write_bytes(buffer.getvalue())
+            part.replace(inner)
+        finally:
+            part.unlink(missing_ok=True)  # of a full disk

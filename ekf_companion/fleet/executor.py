@@ -18,6 +18,8 @@ from heapq import nlargest
 from itertools import islice
 from typing import Any, Protocol, TypeVar
 
+from ekf_companion.fleet.remote import hidden
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 ATTEMPTS = 2
@@ -90,7 +92,7 @@ KILLED = "the process that read it was killed, perhaps for want of memory"
 
 def bug(error: BaseException) -> Lost:
     """Return what is said of a task that raised."""
-    return Lost(f"a bug: {type(error).__name__}: {error}")
+    return Lost(f"a bug: {type(error).__name__}: {hidden(str(error))}")
 
 
 def largest_first(items: Iterable[Item], size: Callable[[Item], int]) -> Iterator[Item]:

@@ -16,6 +16,8 @@ from ekf_companion.logs.source import header_of, real_path, suffix_of
 
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv")
 """Kinds of logs that are looked for in folders."""
+LONGEST = 255
+"""Letters that are shown of a name that is none: no file's name has more."""
 SHOWN = 4
 """Number of files left out for one reason that are named."""
 
@@ -39,15 +41,16 @@ def each_log(name: str) -> Iterator[Path]:
         ConfigError: It is nothing of these.
     """
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(name):  # which knows that a name of any length and letters may be none
         yield from (one for one in _files(path) if _is_log(one))
-    elif path.exists():
+    elif os.path.exists(name):
         yield path
     else:
         matches = map(Path, sorted(glob.glob(name, recursive=True)))
         files = [one for one in matches if one.is_file()]
         if not files:
-            raise ConfigError(f"{name}: no such file or folder, and no file matches it")
+            what = printable(name if len(name) <= LONGEST else f"{name[:LONGEST]}...")
+            raise ConfigError(f"{what}: no such file or folder, and no file matches it")
         yield from files
 
 
@@ -86,7 +89,7 @@ def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
         by_reason.setdefault(_why_not(path), []).append(path)
     groups = []
     for why, paths in sorted(by_reason.items()):
-        shown = ", ".join(showable(path) for path in paths[:SHOWN])
+        shown = ", ".join(printable(path) for path in paths[:SHOWN])
         more = f" and {len(paths) - SHOWN} more" if len(paths) > SHOWN else ""
         groups.append(f"{shown}{more} ({why})")
     return f"{counted(len(found), 'file')} left out: {'; '.join(groups)}"
@@ -115,10 +118,11 @@ def _why_not(path: Path) -> str:
 
 
 def printable(text: object) -> str:
-    r"""Return a text that any file may hold: bytes that are not UTF-8 as ``\udcff``."""
-    return str(text).encode(errors="backslashreplace").decode()
+    r"""Return a text that any file and terminal may hold.
 
-
-def showable(text: object) -> str:
-    r"""Return a text that changes no screen: what cannot be printed as ``\x1b``."""
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in str(text))
+    Bytes that are not UTF-8 become ``\udcff``, a line's end ``\n``, the begin of a terminal's
+    command ``\x1b``: a name is one line, and moves no cursor.
+    """
+    return "".join(
+        one if one.isprintable() else one.encode("unicode_escape").decode() for one in str(text)
+    )

@@ -8,6 +8,7 @@ piece, and from a URL too.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,7 +17,7 @@ from typing import IO, Any, NamedTuple
 
 from ekf_companion.errors import ConfigError
 from ekf_companion.fleet import remote
-from ekf_companion.fleet.folder import SUFFIXES, each_log
+from ekf_companion.fleet.folder import SUFFIXES, each_log, printable
 from ekf_companion.fleet.source import Source, of_path, printable_name
 
 LIST = "@"
@@ -81,11 +82,11 @@ class Listing:
 
 
 def _shown(name: str) -> str:
-    return remote.shown(name) if remote.is_url(name.lstrip(LIST)) else name
+    return remote.shown(name) if remote.is_url(name.lstrip(LIST)) else printable(name)
 
 
 def _sources(name: str, depth: int) -> Iterator[Source]:
-    if name.startswith(LIST) and not Path(name).exists():
+    if name.startswith(LIST) and not os.path.exists(name):
         if depth >= DEEPEST:
             raise ConfigError(f"{_shown(name)}: a list in a list, {DEEPEST} times; name the logs")
         yield from _of_list(name[len(LIST) :], depth)
@@ -122,8 +123,9 @@ def _opened(name: str) -> Iterator[IO[str]]:
     try:
         with open(name, encoding="utf-8", errors="replace") as plain:
             yield plain
-    except OSError as error:
-        raise ConfigError(f"{name}: the list cannot be read: {error.strerror}") from None
+    except (OSError, ValueError) as error:  # ValueError: no name of a file
+        why = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{printable(name)}: the list cannot be read: {why}") from None
 
 
 def _pieces(file: IO[str], name: str) -> Iterator[str]:
@@ -172,7 +174,7 @@ def _objects(file: IO[str], head: str, name: str) -> Iterator[Mapping[str, Any]]
 
 def _of_entry(entry: Mapping[str, Any], where: str) -> Source:
     url, identity = entry.get("url"), entry.get("log_id")
-    if not isinstance(url, str):
+    if not isinstance(url, str) or "\0" in url:
         if not isinstance(identity, str) or not identity.replace("-", "").isalnum():
             raise ConfigError(
                 f"{where}: names no log_id of letters, digits and hyphens, and no url"

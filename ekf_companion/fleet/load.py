@@ -38,7 +38,8 @@ def builds(place: str) -> list[Build]:
         there = system.glob(f"{base}/version=*/config=*") if system.exists(base) else []
     found = [Build(*match.groups()) for one in there if (match := _FOLDER.search(str(one)))]
     if not found:
-        raise ConfigError(f"{shown(place)}: holds no results; write some: batch LOGS -o {place}")
+        where = shown(place)
+        raise ConfigError(f"{where}: holds no results; write some: batch LOGS -o {where}")
     return sorted(found)
 
 
@@ -104,13 +105,15 @@ _ORDER = {
 
 def _first_of_each(table: Any) -> Any:
     """Return the rows without those of a key that has been before."""
+    import pyarrow as pa
+
     seen: set[str] = set()
     rows = [
         index
         for index, key in enumerate(table.column("key").to_pylist())
         if not (key in seen or seen.add(key))  # type: ignore[func-returns-value]
     ]
-    return table.take(rows)
+    return table.take(pa.array(rows, pa.int64()))
 
 
 def _of_file(path: Path) -> Any:

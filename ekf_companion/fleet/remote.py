@@ -7,6 +7,7 @@ a store's package, whose text may hold them, is replaced by a sentence.
 
 from __future__ import annotations
 
+import errno
 import logging
 import re
 import tempfile
@@ -15,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from ekf_companion.errors import (
     CompanionError,
@@ -26,7 +27,7 @@ from ekf_companion.errors import (
     part_of,
     remedy,
 )
-from ekf_companion.fleet.folder import SUFFIXES
+from ekf_companion.fleet.folder import SUFFIXES, printable
 from ekf_companion.logs.source import BLOCK, LARGEST, suffix_of
 
 ATTEMPTS = 3
@@ -36,7 +37,11 @@ PAUSE_S = 0.5
 CHANGES = "it changes while it is read; the next run reads it"
 _TALKATIVE = ("aiobotocore", "botocore", "s3fs", "gcsfs", "fsspec", "aiohttp", "asyncio")
 """Loggers of the stores' packages, whose lines and tracebacks hold signed URLs."""
-_URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+_URL = re.compile(r"""[\s'"<]*([a-z][a-z0-9+.:-]+://|(https?|s3|gs):/)""", re.IGNORECASE)
+"""With what is easily typed before it, and with a slash too few: it may hold a key all the same."""
+_WEB = ("http", "https")
+_PASSWORD = re.compile(r"[^\[]*:(?!\d*$)")
+"""A host that is none: a user, and a password up to its first slash."""
 
 
 def is_url(place: str) -> bool:
@@ -45,12 +50,28 @@ def is_url(place: str) -> bool:
 
 
 def shown(url: str) -> str:
-    """Return a URL without user, password, query and fragment."""
-    try:
-        parts = urlsplit(url)
-    except ValueError:
-        return f"{url.partition('://')[0]}://..."
-    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{unquote(parts.path)}"
+    """Return a URL without user, password and query; of a web server's, decoded.
+
+    In the key of a store ``#``, ``%`` and a ``?`` without parameters are letters as others.
+    """
+    *begin, rest = re.split("(:/{1,2})", url, maxsplit=1)
+    host = re.split("[/?#]", rest, maxsplit=1)[0]
+    if "@" in host:
+        rest = rest[host.rindex("@") + 1 :]
+    elif _PASSWORD.match(host):
+        rest = rest.rpartition("@")[2]
+    if begin and begin[0].lower() in _WEB:
+        rest = unquote(re.split("[?#]", rest, maxsplit=1)[0])
+    return printable("".join([*begin, _without_query(rest)]))
+
+
+def _without_query(key: str) -> str:
+    return re.split(r"\?(?=[^/]*=)", key, maxsplit=1)[0]
+
+
+def hidden(text: str) -> str:
+    """Return a text in which each URL is as it is shown."""
+    return re.sub(r"[a-z][a-z0-9+.-]*://\S+", lambda found: shown(found[0]), text)
 
 
 @contextmanager
@@ -92,6 +113,9 @@ def _why(error: Exception) -> str:
     kind = type(error).__name__
     if kind in ("FileExpired", "PreconditionFailed"):  # the store compares ETags itself
         return CHANGES
+    if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+        folder = tempfile.gettempdir()
+        return f"no space for a copy of it is left in {folder}; make some, or set TMPDIR"
     if "Credential" in kind or "Token" in kind:
         return "there is no key for it, or an expired one; give one as the store's own tools want"
     status = getattr(error, "status", None)
@@ -128,15 +152,14 @@ def find(url: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """
     system, path = file_system(url)
     scheme, name = url.partition("://")[0], shown(url)
-    begin = name[: len(name) - len(_inner(name))] if scheme.startswith("http") else f"{scheme}://"
+    is_web = scheme.lower() in _WEB
+    key = re.split("[?#]", path, maxsplit=1)[0] if is_web else _without_query(path)
     with sentences(name):
-        # What follows a ? in the URL of a web server is no pattern
-        if not any(
-            letter in (urlsplit(url).path if scheme.startswith("http") else path)
-            for letter in "*?["
-        ):
+        # What follows a ? in the URL of a web server is no pattern, nor is the key of an object
+        is_pattern = any(letter in key for letter in "*?[") and (is_web or not system.exists(path))
+        if not is_pattern:
             # A signature belongs to this one object
-            if suffix_of(Path(PurePosixPath(urlsplit(url).path).name)) in SUFFIXES:
+            if suffix_of(Path(PurePosixPath(key).name)) in SUFFIXES:
                 yield url, name, _properties(system.info(path))
                 return
             folders: Iterator[Any] = system.walk(path, detail=True, on_error="raise")
@@ -148,15 +171,11 @@ def find(url: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
             inner = str(one["name"])
             if one.get("type") == "file" and suffix_of(Path(inner)) in SUFFIXES:
                 count += 1
-                place = inner if is_url(inner) else f"{begin}{inner}"
+                place = inner if is_url(inner) else f"{scheme}://{inner}"
                 yield place, shown(place), _properties(one)
         system.invalidate_cache()  # of a hundred thousand objects it is large
     if not count:
         raise LogError(f"{name}: no log there ({', '.join(SUFFIXES)})")
-
-
-def _inner(name: str) -> str:
-    return urlsplit(name).path
 
 
 def _properties(info: dict[str, Any]) -> dict[str, Any]:
@@ -176,7 +195,9 @@ def fetched(url: str, name: str) -> Iterator[Path]:
         UnreachableError: It is cut off, changes or is refused each time that it is fetched.
         LogError: It is not there, or is larger than any log.
     """
-    with tempfile.TemporaryDirectory(prefix="ekf-companion-") as folder:
+    with sentences(name):
+        made = tempfile.TemporaryDirectory(prefix="ekf-companion-")
+    with made as folder:
         path = Path(folder) / f"log{''.join(_suffixes(name))}"
         for attempt in range(1, ATTEMPTS + 1):
             try:

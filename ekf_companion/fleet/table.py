@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ekf_companion.errors import ConfigError, require
-from ekf_companion.fleet.folder import showable
+from ekf_companion.fleet.folder import printable
 from ekf_companion.fleet.row import COLUMNS, Row
 from ekf_companion.fleet.source import printable_name
 from ekf_companion.logs.recording import counted
@@ -87,13 +87,13 @@ def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
         width: To which the line of a log with a verdict is cut, characters; None: it is not.
             Why a log failed is never cut.
     """
-    names = [showable(row["log"]) for row in rows]
+    names = [printable(row["log"]) for row in rows]
     longest = max(map(len, names), default=0)
     found = []
     for name, row in zip(names, rows, strict=True):
         line = f"{name:{longest}}  "
         if row["outcome"] != "estimated":
-            found.append(f"{line}{row['outcome']}: {showable(row['why'])}")
+            found.append(f"{line}{row['outcome']}: {printable(row['why'])}")
             continue
         line += f"{row['duration_s'] or 0:.0f} s, {row['verdict']}"
         # At least the grade and the size are read, also behind a long name

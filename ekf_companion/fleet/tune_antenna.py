@@ -3,7 +3,8 @@
 The estimator takes what a turn adds to the antenna's velocity from one sample of the rate. That is
 good enough to fly by, but its noise passes for turns, and an arm that is fitted to it comes out too
 short (errors in variables). A fit has the samples after a fix as well: a parabola through those
-around it has a twentieth of the variance of a sample at 100 Hz.
+around it has a twentieth of the variance of a sample at 100 Hz. What that leaves is known, and
+``tune_flight`` takes it out of the likelihood.
 
 Source: Fuller 1987, "Measurement error models", ch. 1; Savitzky and Golay 1964, Analytical
 Chemistry 36, 8.
@@ -33,13 +34,14 @@ class Antenna:
 
     def __init__(self, recording: Recording, table: Table, settings: FilterSettings) -> None:
         """Take both from a recording and its estimates."""
-        from scipy.signal import savgol_filter
+        from scipy.signal import savgol_coeffs, savgol_filter
 
         events = recording.events
         self._values = events.values
-        self._fixes = np.flatnonzero(events.kind == Kind.GNSS)
-        self._fix_ns = events.t_ns[self._fixes]
-        lat, lon, alt = self._values[self._fixes[0], GNSS_POSITION]
+        self.fixes = np.flatnonzero(events.kind == Kind.GNSS)
+        """Rows of the fixes among the events."""
+        self._fix_ns = events.t_ns[self.fixes]
+        lat, lon, alt = self._values[self.fixes[0], GNSS_POSITION]
         north, east = LocalFrame(lat, lon, alt).scale
         self._per_metre = np.array([1.0 / north, 1.0 / east, -1.0])
 
@@ -54,8 +56,12 @@ class Antenna:
         q_nb, bias = (table.columns(of)[estimated][first] for of in (QUATERNION, GYRO_BIAS))
         rate_b = self._values[samples, :3] - resample(t_ns, stamps, bias)
         window = 2 * round(0.5 * SPAN / step) + 1
+        self.bandwidth = 1.0 / step
+        """Variance of the rate over the density of the gyro's noise, Hz."""
         if 3 < window <= len(rate_b):
             rate_b = savgol_filter(rate_b, window, polyorder=2, axis=0)
+            # A projection: the sum of the squares of a row is its element on the diagonal
+            self.bandwidth *= float(savgol_coeffs(window, 2)[window // 2])
         late = imu_lag(settings, recording.family)
         if has_mean_samples(settings, recording.family):
             late += 0.5 * step
@@ -73,7 +79,7 @@ class Antenna:
         at_ns = self._fix_ns - round(delay * 1e9)
         turns = between(self._rate_ns, at_ns)
         attitudes = between(self._attitude_ns, at_ns[turns.wanted])
-        rows = self._fixes[turns.wanted][attitudes.wanted]
+        rows = self.fixes[turns.wanted][attitudes.wanted]
         rate_b = turns.values(self._rate_b)[attitudes.wanted]
         C_nb = so3.to_matrix(attitudes.rotations(self._q_nb))
         values[rows, GNSS_POSITION] -= (C_nb @ arm_b) * self._per_metre

@@ -28,7 +28,7 @@ class Parameter:
     """Largest half of a 95 % interval with which the flights show the parameter."""
 
 
-DELAY, ARM, NOISES = 0, slice(1, 4), slice(4, 10)
+DELAY, ARM, NOISES, VELOCITY_STD, GYRO_NOISE = 0, slice(1, 4), slice(4, 10), 6, 9
 PARAMETERS = (
     Parameter(name="delay", unit="s", low=-0.2, high=0.6, begin=0.1, step=0.01, sure=0.05),
     *(

@@ -351,7 +351,6 @@ def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path, monkeypatch):
         "+1.tlog",
         "-1.tlog",
         "@a.tlog",
-        "\t=1.tlog",
         " +1.tlog",
         "good.tlog",
     ):

@@ -1,13 +1,18 @@
 """The executor of a Dask cluster, with real workers, one of which is killed."""
 
 import logging
+import socket
+import subprocess
+import sys
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import pytest
 from distributed import Client, LocalCluster
 
-from ekf_companion.errors import ConfigError
+from ekf_companion.errors import ConfigError, UnreachableError
 from ekf_companion.fleet.dask_executor import Dask
 from ekf_companion.fleet.executor import KILLED, Lost, Processes
 from tests.fleet import batch_tasks
@@ -63,6 +68,40 @@ def test_no_scheduler_and_no_worker_are_sentences(monkeypatch):
     empty = LocalCluster(n_workers=0, **QUIET)
     with empty, pytest.raises(ConfigError, match="the scheduler has no worker"):
         list(Dask(empty.scheduler_address, 1).run(batch_tasks.double, [1]))
+
+
+@contextmanager
+def scheduler(port):
+    """Run a scheduler at a port, in a process of its own."""
+    words = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    command = [sys.executable, "-m", "dask", *words]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("begins_again", [False, True])
+def test_a_scheduler_that_is_lost_is_a_sentence_and_no_log_s_failure(begins_again):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    command = [sys.executable, "-m", "dask", "worker", address, "--nthreads", "1", "--no-dashboard"]
+    with ExitStack() as running:
+        first = running.enter_context(scheduler(port))
+        worker = running.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
+        running.callback(worker.kill)
+        work = Dask(address, 1).run(batch_tasks.double, range(100_000))
+        found = [result for _, result in islice(work, 100)]
+        first.kill()
+        first.wait()
+        if begins_again:
+            running.enter_context(scheduler(port))
+        with pytest.raises(UnreachableError, match="the scheduler was lost"):
+            found.extend(result for _, result in work)
+        assert not any(isinstance(one, Lost) for one in found)
 
 
 def test_workers_of_another_version_are_refused(cluster):

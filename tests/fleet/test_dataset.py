@@ -1,9 +1,11 @@
 """The data set of a fleet: complete, byte for byte the same, whatever was interrupted."""
 
+import resource
 import shutil
 from pathlib import Path
 
 import pytest
+from pyarrow import parquet
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
@@ -13,7 +15,7 @@ from ekf_companion.fleet import campaign, dataset
 from ekf_companion.fleet.executor import KILLED
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.load import builds, load
-from ekf_companion.fleet.row import COLUMNS, examine
+from ekf_companion.fleet.row import COLUMNS, examine, failed
 from sim_autopilot.__main__ import app as sim
 from tests.fleet.in_place import InPlace
 
@@ -130,6 +132,32 @@ def test_a_file_that_is_none_of_its_own_is_named(logs, tmp_path):
         load(str(tmp_path))
     with pytest.raises(LogError, match=r"zz\.parquet"):
         fill(logs, tmp_path)
+
+
+def test_a_file_without_rows_stops_no_pack_and_a_partition_without_files_is_empty(logs, tmp_path):
+    place = f"{tmp_path}/results/"
+    into = campaign.partition_of(place, Config())
+    for table in dataset.TABLES:
+        folder = Path(into.folder(table))
+        folder.mkdir(parents=True)
+        if table == "logs":
+            assert len(load(place)) == 0
+        parquet.write_table(dataset.schema(table).empty_table(), folder / "none.parquet")
+    campaign.run(Listing([str(logs)]), Config(), place, InPlace())
+    assert all(one.name.startswith("pack-") for one in Path(into.folder("logs")).iterdir())
+    assert len(load(place)) == Listing([str(logs)]).total().logs
+
+
+def test_what_has_no_room_leaves_nothing_behind(tmp_path):
+    into = campaign.partition_of(f"{tmp_path}/results/", Config())
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
+    try:
+        with pytest.raises(LogError, match="File too large"):
+            dataset.write_log(into, failed("a.tlog", "nothing"), 1, "content")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert not [one for one in tmp_path.rglob("*") if one.is_file()]
 
 
 def test_a_folder_without_results_is_no_data_set(tmp_path):

@@ -270,6 +270,11 @@ def test_a_list_of_flight_review_is_streamed_with_what_it_says_of_each(web, tmp_
         ('[{"log_id": "' + "x" * (1 << 21), "is damaged, or cut short"),
         ("x" * (1 << 21), "it is no list"),
         ("none.tlog\n", "no such file or folder"),
+        ("y" * 5000, r"y\.\.\.: no such file or folder"),
+        ("a\0b.tlog", r"a\\x00b\.tlog: no such file or folder"),
+        ("\x1b[2J.tlog", r"\\x1b\[2J\.tlog: no such file or folder"),
+        ('[{"log_id": "../a", "url": "a\\u0000b"}]', "names no log_id of letters"),
+        ("@" + "z" * 5000, "the list cannot be read: File name too long"),
         ("", "no log in there"),
         ("@LIST\n", "a list in a list"),
     ],
@@ -289,6 +294,70 @@ def test_a_list_of_names_has_each_once(tmp_path):
     listing = Listing([f"@{path}"])
     assert [os.path.basename(one.name) for one in listing] == ["b.tlog", "a.tlog"]
     assert listing.total() == (2, 4)
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("s3://b/a#1.tlog", "s3://b/a#1.tlog"),
+        ("s3://b/a?1.tlog", "s3://b/a?1.tlog"),
+        ("s3://b/a%41.tlog", "s3://b/a%41.tlog"),
+        ("s3://b/a\nb.tlog", r"s3://b/a\nb.tlog"),
+        ("s3://b/mail@x.tlog", "s3://b/mail@x.tlog"),
+        ("s3://b/a.tlog?X-Amz-Signature=deadbeef", "s3://b/a.tlog"),
+        (f"s3://{KEY}:{SECRET}@b/a.tlog", "s3://b/a.tlog"),
+        ("https://user:hunter2@h:80/a%23.tlog?sig=deadbeef", "https://h:80/a#.tlog"),
+        ("https://user:hun?ter2@h/a.tlog", "https://h/a.tlog"),
+        ("https://[::1]:80/a@b.tlog", "https://[::1]:80/a@b.tlog"),
+        ("https://h/%1b%5b2J.tlog", r"https://h/\x1b[2J.tlog"),
+        ("https:/user:hunter2@h/a", "https:/h/a"),
+        ("simplecache::https://user:hunter2@h/a", "simplecache::https://h/a"),
+        ("user:hunter2@h:8786", "h:8786"),
+        ("local", "local"),
+    ],
+)
+def test_an_address_is_shown_without_its_secrets_and_no_two_keys_alike(url, words):
+    assert remote.shown(url) == words
+
+
+@pytest.mark.parametrize("begin", ["simplecache::https://", " https://", "'https://", "https:/"])
+@pytest.mark.parametrize("is_list", [False, True])
+def test_what_is_nearly_a_url_shows_no_secret_either(begin, is_list):
+    with pytest.raises(ConfigError) as caught:
+        list(Listing([f"{'@' if is_list else ''}{begin}user:hunter2@127.0.0.1:1/a.tlog"]))
+    assert "hunter2" not in str(caught.value)
+    assert "no store is known by this name" in str(caught.value)
+
+
+def test_a_data_set_that_is_not_there_is_shown_without_its_secrets(web):
+    place = f"http://user:hunter2@127.0.0.1:{web}/none/"
+    with pytest.raises(CompanionError) as caught:
+        load(place)
+    assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.campaign
+def test_keys_of_odd_letters_are_logs_of_their_own(store, flight):
+    keys = ["a#1.tlog", "a#2.tlog", "a%41.tlog", "aA.tlog", "a[1].tlog", "a?1.tlog", "a b.tlog"]
+    for key in keys:
+        store.put_object(Bucket="logs", Key=key, Body=flight)
+    found = list(Listing(["s3://logs/"]))
+    assert {one.name for one in found} == {f"s3://logs/{key}" for key in keys}
+    for key in keys:
+        (alone,) = Listing([f"s3://logs/{key}"])
+        assert alone.name == f"s3://logs/{key}"
+        with alone.opened() as path:
+            assert path.read_bytes() == flight
+
+
+def test_a_full_disk_is_named_as_one():
+    with (
+        pytest.raises(CompanionError, match="no space for a copy of it is left in") as caught,
+        remote.sentences("s3://a/b.tlog"),
+        open("/dev/full", "wb", buffering=0) as full,
+    ):
+        full.write(b"x")
+    assert "connection" not in str(caught.value)
 
 
 def test_no_error_of_a_store_s_package_comes_through():

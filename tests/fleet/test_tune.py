@@ -25,6 +25,7 @@ from ekf_companion.fleet.tune import (
     left_out,
     newton_step,
 )
+from ekf_companion.fleet.tune_antenna import Antenna
 from ekf_companion.fleet.tune_flight import Likelihood, Look, differences
 from ekf_companion.fleet.tune_parameter import (
     BEGIN,
@@ -40,6 +41,7 @@ from ekf_companion.fleet.tune_parameter import (
     tuned,
 )
 from ekf_companion.fleet.tuned_settings import result
+from ekf_companion.nav.measurements import Kind
 from ekf_companion.yaml_file import YamlLoader
 from sim_autopilot.__main__ import app as simulator
 from sim_autopilot.config import GnssConfig, ImuConfig
@@ -166,6 +168,24 @@ def test_the_noise_of_the_gyro_makes_no_lever_arm_shorter():
     up, middle, down = of(truth + far), of(truth), of(truth - far)
     top = arm[0] - 0.2 * (up - down) / (2.0 * (up + down - 2.0 * middle))
     assert top == pytest.approx(arm[0], rel=0.1)
+
+
+def test_what_the_noise_of_the_rate_takes_of_the_likelihood_of_an_arm_is_known():
+    arm, gyro_noise, rng = np.array([0.6, -0.4, -0.3]), 0.01, np.random.default_rng(1)
+    gnss = GnssConfig(noise_h=0.4, noise_v=0.6, noise_vel=0.05, delay=0.25, lever_arm=tuple(arm))
+    flown = fly("figure-eight", 40.0, imu=ImuConfig(rate=50.0, accel_noise=0.05), gnss=gnss)
+    table, ends = Pipeline(Config()).run(flown.events), flown.events.t_ns[[0, -1]] * 1e-9
+    of = Likelihood(flown, table, cuts_at(flown, ends + np.array([15.0, 0.0])), Config())
+    theta = np.array([0.25, *arm, *np.log([0.4, 0.6, 0.05, 0.001, 0.05, gyro_noise])])
+    fixes = np.count_nonzero(flown.events.kind == Kind.GNSS)
+    value, expected = of(theta), of.noise_curvature(theta, of(theta))
+    bandwidth, taken = Antenna(flown, table, Config()).bandwidth, []
+    for _ in range(12):
+        # What a rate of this noise adds to the velocities, where the vehicle is level
+        noise = gyro_noise * math.sqrt(bandwidth) * rng.normal(size=(fixes, 3))
+        off = np.cross(noise, arm)
+        taken.append(value - 0.5 * (of(theta, off) + of(theta, -off)))
+    assert np.mean(taken) == pytest.approx(0.5 * expected * float(arm @ arm), rel=0.25)
 
 
 def a_fit(**changes):

@@ -50,6 +50,22 @@ def test_no_arm_changes_nothing():
     assert np.array_equal(brought, recording.events.values, equal_nan=True)
 
 
+def test_the_smoothed_rate_has_the_variance_that_is_told():
+    quiet = flown(np.zeros(3))
+    values, is_imu = quiet.events.values.copy(), quiet.events.kind == Kind.IMU
+    values[is_imu, :3] += (
+        0.003 * np.sqrt(50.0) * np.random.default_rng(1).normal(size=(np.count_nonzero(is_imu), 3))
+    )
+    noisy = replace(quiet, events=replace(quiet.events, values=values))
+    table = Pipeline(Config()).run(quiet.events)
+    fits = [Antenna(one, table, Config()) for one in (quiet, noisy)]
+    arm = np.array([1.0, 0.0, 0.0])
+    is_fix = quiet.events.kind == Kind.GNSS
+    with_noise, without = (one.brought(arm, DELAY)[is_fix, GNSS_VELOCITY] for one in reversed(fits))
+    var = ((with_noise - without) ** 2).sum(axis=1).mean() / 2.0  # of two axes
+    assert var == pytest.approx(0.003**2 * fits[0].bandwidth, rel=0.2)
+
+
 def test_a_velocity_that_is_not_known_stays_unknown():
     recording = flown(ARM)
     values = recording.events.values.copy()
