@@ -103,7 +103,11 @@ class Board:
         self._splitter = Splitter()
         if estimate_port is not None:
             self._estimates = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._estimates.bind(("127.0.0.1", estimate_port))
+            try:
+                self._estimates.bind(("127.0.0.1", estimate_port))
+            except OSError:
+                self.close()
+                raise
 
     def __enter__(self) -> Board:
         return self

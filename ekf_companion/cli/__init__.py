@@ -92,6 +92,11 @@ COMMANDS = {
         "run_lidar",
         "Run a lidar's odometry until SIGTERM, and send it to the daemon on this board.",
     ),
+    "run-ros2": _Entry(
+        "run_ros2",
+        "run_ros2",
+        "Pass odometry of ROS 2 to the daemon on this board until SIGTERM, and its estimates back.",
+    ),
     "doctor": _Entry(
         "doctor", "doctor", "Find the stage that loses the data, and the parameter to change."
     ),

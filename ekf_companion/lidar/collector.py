@@ -1,4 +1,4 @@
-"""Datagrams of one lidar, to scans and inertial samples of one run of its clock.
+"""What one lidar sends, to scans and inertial samples of one run of its clock.
 
 A run begins with the first inertial sample, and anew where the clock leaps or samples are missing
 for long.
@@ -7,11 +7,11 @@ for long.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ekf_companion.lidar.heard import Heard
 from ekf_companion.lidar.livox import Assembler, Inertial, Points, Refusal, decode, scan_of
-from ekf_companion.lidar.recording import Scan
+from ekf_companion.lidar.recording import Scan, StampedScan
 
 GAP_NS = 200_000_000
 """Without samples for longer a gap cannot be told from a leap of the clock: taken for a gap, one of
@@ -41,6 +41,20 @@ class Packed:
         return scan_of(self.packets, self.base_ns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Ready:
+    """A scan that came as a whole."""
+
+    scan: Scan
+    base_ns: int
+    end: float
+    """When it ended, s since the run began."""
+
+    def unpacked(self) -> Scan:
+        """Return its points in m."""
+        return self.scan
+
+
 class Collector:
     """Sorts what comes; no socket, and no clock but the lidar's."""
 
@@ -58,7 +72,8 @@ class Collector:
         """Datagrams by the reason why they are not used."""
         self.packets = 0
         """Datagrams of points."""
-        self._late_samples = self._repeated_samples = 0
+        self._late_samples = self._late_scans = self._repeated_samples = 0
+        self._scan_ns = 0
         self._assembler = Assembler()
         self._recent: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)
         self._late: list[Inertial] = []
@@ -70,8 +85,8 @@ class Collector:
 
     @property
     def late(self) -> int:
-        """Return how many datagrams came too late, and are left out."""
-        return self._assembler.late + self._late_samples
+        """Return how many datagrams or scans came too late, and are left out."""
+        return self._assembler.late + self._late_samples + self._late_scans
 
     @property
     def repeated(self) -> int:
@@ -85,14 +100,26 @@ class Collector:
             self.refused[found.value] += 1
             return None
         if isinstance(found, Inertial):
-            return found if self._add(found) else None
+            return found if self.add(found) else None
         self.packets += 1
         ended = self._assembler.add(found)
         if not ended or self.run == 0 or ended[0].t_ns < self.base_ns:
             return None
         return Packed(tuple(ended), self.base_ns)
 
-    def _add(self, sample: Inertial) -> bool:
+    def place(self, one: StampedScan) -> Ready | None:
+        """Return a whole scan by times since the run began; None: it is older, or out of order."""
+        if self.run == 0 or one.t_ns < self.base_ns:
+            return None
+        if one.t_ns <= self._scan_ns:
+            self._late_scans += 1
+            return None
+        self._scan_ns = one.t_ns
+        scan = replace(one.scan, stamp=(one.t_ns - self.base_ns) / 1e9)
+        last = float(scan.times.max()) if len(scan.times) else 0.0
+        return Ready(scan, self.base_ns, scan.stamp + last)
+
+    def add(self, sample: Inertial) -> bool:
         """Take a sample into the run, or begin another by it; return whether it is used."""
         if self.run == 0:
             return self._begin([sample], "")
@@ -122,7 +149,7 @@ class Collector:
         self.run += 1
         self.why = why
         self.base_ns = samples[0].t_ns
-        self.newest_ns = 0
+        self.newest_ns = self._scan_ns = 0
         self.heard = Heard()
         self._recent.clear()
         self._late = []

@@ -1,4 +1,4 @@
-"""A lidar's odometry while it flies: datagrams in, poses with the covariance of their way out.
+"""A lidar's odometry while it flies: what it sends in, poses with the covariance of their way out.
 
 No socket and no clock: the shell receives, and runs :meth:`Live.process` beside the reception.
 """
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.lidar.collector import Collector, Packed
+from ekf_companion.lidar.collector import Collector, Packed, Ready
 from ekf_companion.lidar.livox import Inertial
 from ekf_companion.lidar.motion import Samples
 from ekf_companion.lidar.odometry import Estimate, Odometry
-from ekf_companion.lidar.recording import InertialSamples, Mounting
+from ekf_companion.lidar.recording import InertialSamples, Mounting, StampedScan
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import DOWN
 from ekf_companion.nav.arrays import Array
@@ -57,7 +57,7 @@ class Job:
     """A scan to process, with the samples that it needs."""
 
     run: int
-    packed: Packed
+    packed: Packed | Ready
     samples: Samples
     lag_ns: int
     """Our clock less the lidar's."""
@@ -101,7 +101,7 @@ class Live:
         """Scans that were not processed, by the reason."""
         self.processed = 0
         self._mounting, self._settings = mounting, settings
-        self._waiting: deque[Packed] = deque()
+        self._waiting: deque[Packed | Ready] = deque()
         self._run = self._world = 0
         self._end = 0.0
         self._lag_ns: int | None = None
@@ -112,6 +112,21 @@ class Live:
         """Take a datagram that arrived at a time of our clock; return whether it is used."""
         run, before = self.collector.run, self.collector.packets
         found = self.collector.receive(datagram)
+        self._keep(found, run, now_ns)
+        return isinstance(found, Inertial) or self.collector.packets > before
+
+    def take_in(self, one: Inertial | StampedScan, now_ns: int) -> bool:
+        """Take a sample or a whole scan, as :meth:`receive` does a datagram."""
+        run = self.collector.run
+        found: Ready | Inertial | None
+        if isinstance(one, Inertial):
+            found = one if self.collector.add(one) else None
+        else:
+            found = self.collector.place(one)
+        self._keep(found, run, now_ns)
+        return found is not None
+
+    def _keep(self, found: Packed | Ready | Inertial | None, run: int, now_ns: int) -> None:
         if self.collector.run != run:
             self._waiting.clear()
             self._lag_ns = None
@@ -123,12 +138,10 @@ class Live:
             self._heard_ns = now_ns
             newest = (self.collector.newest_ns - self.collector.base_ns) / 1e9
             self.collector.heard.forget(newest - BRIDGED - 1.0)
-            return True
-        if found is not None:
+        elif found is not None:
             self._waiting.append(found)
             if len(self._waiting) > MOST_WAITING:
                 self.dropped[_SLOW if self._is_heard(self._waiting.popleft()) else _ALONE] += 1
-        return self.collector.packets > before
 
     @property
     def is_ready(self) -> bool:
@@ -163,5 +176,5 @@ class Live:
     def _afresh(self) -> tuple[Odometry, Way]:
         return Odometry(NONE, self._mounting, self._settings), Way()
 
-    def _is_heard(self, packed: Packed) -> bool:
+    def _is_heard(self, packed: Packed | Ready) -> bool:
         return self.collector.heard.judged >= packed.end

@@ -27,6 +27,16 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StampedScan:
+    """A scan with its stamp in whole ns."""
+
+    t_ns: int
+    """Of the start, the lidar's clock."""
+    scan: Scan
+    """Its own stamp does not count."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class InertialSamples:
     """Samples of the inertial sensor, in the body's frame (forward, left, up)."""
 

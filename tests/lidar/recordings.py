@@ -130,6 +130,49 @@ def write_folder(path, flown: Simulated, form: str) -> None:
     (path / "imu.csv").write_text("\n".join([names, *lines]))
 
 
+@lru_cache
+def _types():
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE).types
+
+
+def header(ns: int, frame: str):
+    types = _types()
+    time = types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def cloud(flown: Simulated, k: int, ns: int, dialect: str = "t", epoch: float = 0.0):
+    """Return a scan as PointCloud2; ``epoch`` is that of absolute times of points, s."""
+    types, rows = _types(), table(flown, k, dialect)
+    numbers = {"<f4": 7, "<f8": 8, "<u2": 4, "<u4": 6}
+    if "timestamp" in rows.dtype.names:
+        rows["timestamp"] += epoch * (1e9 if "ns" in dialect else 1.0)
+    fields = [
+        types["sensor_msgs/msg/PointField"](
+            field, rows.dtype.fields[field][1], numbers[rows.dtype[field].str], 1
+        )
+        for field in rows.dtype.names
+    ]
+    step = rows.dtype.itemsize
+    return types["sensor_msgs/msg/PointCloud2"](
+        header(ns, "lidar"), 1, len(rows), fields, False, step, step * len(rows),
+        rows.view(np.uint8), True,
+    )  # fmt: skip
+
+
+def imu(flown: Simulated, k: int, ns: int, unit: float = 1.0):
+    """Return an inertial sample as Imu; ``unit`` is that of its specific force, m/s2."""
+    types = _types()
+    vector, zeros = types["geometry_msgs/msg/Vector3"], np.zeros(9)
+    return types["sensor_msgs/msg/Imu"](
+        header(ns, "imu"), types["geometry_msgs/msg/Quaternion"](0, 0, 0, 1), zeros,
+        vector(*map(float, flown.gyro[k])), zeros,
+        vector(*map(float, flown.accel[k] / unit)), zeros,
+    )  # fmt: skip
+
+
 def write_dialect(path, flown: Simulated, dialect: str, *, epoch: float = 0.0, livox=False) -> None:
     """Write a bag of ROS 2 in one dialect of time, or of CustomMsg, without /tf_static."""
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -145,15 +188,10 @@ def write_dialect(path, flown: Simulated, dialect: str, *, epoch: float = 0.0, l
     store.register(kinds)
     types = store.types
 
-    def head(ns: int, frame: str):
-        time = types["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
-        return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
-
-    numbers = {"<f4": 7, "<f8": 8, "<u2": 4, "<u4": 6}
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         kind = name if livox else "sensor_msgs/msg/PointCloud2"
         lidar = writer.add_connection("/livox/lidar", kind, typestore=store)
-        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        imu_topic = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
         for k, stamp in enumerate(flown.stamp):
             ns = round((stamp + epoch) * 1e9)
             rows = table(flown, k, dialect)
@@ -164,7 +202,7 @@ def write_dialect(path, flown: Simulated, dialect: str, *, epoch: float = 0.0, l
                     for row in rows
                 ]
                 message = types[name](
-                    head(ns, "lidar frame"[: k % 9]),
+                    header(ns, "lidar frame"[: k % 9]),
                     ns,
                     len(rows),
                     0,
@@ -172,27 +210,9 @@ def write_dialect(path, flown: Simulated, dialect: str, *, epoch: float = 0.0, l
                     listed,
                 )
             else:
-                if "timestamp" in rows.dtype.names:
-                    rows["timestamp"] += epoch * (1e9 if "ns" in dialect else 1.0)
-                fields = [
-                    types["sensor_msgs/msg/PointField"](
-                        field, rows.dtype.fields[field][1], numbers[rows.dtype[field].str], 1
-                    )
-                    for field in rows.dtype.names
-                ]
-                step = rows.dtype.itemsize
-                message = types["sensor_msgs/msg/PointCloud2"](
-                    head(ns, "lidar"), 1, len(rows), fields, False, step, step * len(rows),
-                    rows.view(np.uint8), True,
-                )  # fmt: skip
+                message = cloud(flown, k, ns, dialect, epoch)
             writer.write(lidar, ns, store.serialize_cdr(message, kind))
-        vector = types["geometry_msgs/msg/Vector3"]
-        zeros = np.zeros(9)
         for k, stamp in enumerate(flown.imu_stamp):
             ns = round((stamp + epoch) * 1e9)
-            message = types["sensor_msgs/msg/Imu"](
-                head(ns, "imu"), types["geometry_msgs/msg/Quaternion"](0, 0, 0, 1), zeros,
-                vector(*map(float, flown.gyro[k])), zeros,
-                vector(*map(float, flown.accel[k])), zeros,
-            )  # fmt: skip
-            writer.write(imu, ns, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+            message = imu(flown, k, ns)
+            writer.write(imu_topic, ns, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ekf_companion.errors import LogError, part_of
 from ekf_companion.lidar.readers import custom_message
-from ekf_companion.lidar.readers.point_cloud import Cloud, Field, unpack
+from ekf_companion.lidar.readers.point_cloud import Cloud, unpack_message
 from ekf_companion.lidar.readers.source import Source, StoredInertial, StoredScan
 from ekf_companion.lidar.recording import Mounting
 from ekf_companion.nav import so3
@@ -143,18 +143,7 @@ def _clouds(path: Path, reader: Any, topic: str, faults: list[str]) -> Iterator[
                 stamp, frame, cloud = custom_message.decode(raw, reader.is2)
             else:
                 message = reader.deserialize(raw, connection.msgtype)
-                fields = [
-                    Field(one.name, one.offset, one.datatype, one.count) for one in message.fields
-                ]
-                cloud = unpack(
-                    message.data,
-                    fields,
-                    width=message.width,
-                    height=message.height,
-                    point_step=message.point_step,
-                    row_step=message.row_step,
-                    is_bigendian=bool(message.is_bigendian),
-                )
+                cloud = unpack_message(message)
                 head = message.header
                 stamp, frame, number = _ns(head.stamp), head.frame_id, getattr(head, "seq", None)
         except _damage() as error:

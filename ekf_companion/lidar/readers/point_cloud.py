@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,23 @@ class Cloud:
     time_field: str
     doppler: Stored | None = None
     """Radial speeds."""
+
+
+def unpack_message(message: Any) -> Cloud:
+    """Return the cloud of a PointCloud2 as the library rosbags has it.
+
+    Raises:
+        ValueError: See :func:`unpack`.
+    """
+    return unpack(
+        message.data,
+        [Field(one.name, one.offset, one.datatype, one.count) for one in message.fields],
+        width=message.width,
+        height=message.height,
+        point_step=message.point_step,
+        row_step=message.row_step,
+        is_bigendian=bool(message.is_bigendian),
+    )
 
 
 def unpack(
