@@ -14,8 +14,8 @@ from ekf_companion.lidar.livox import Assembler, Inertial, Points, Refusal, deco
 from ekf_companion.lidar.recording import Scan, StampedScan
 
 GAP_NS = 200_000_000
-"""Without samples for longer a gap cannot be told from a leap of the clock: taken for a gap, one of
-0.3 s put a walk in a room 20 m off, one of 0.19 s 2 cm."""
+"""Without samples for longer a gap cannot be told from a leap of the clock: taken for a gap, a leap
+of 0.3 s put a walk in a room 20 m off, one of 0.19 s 2 cm."""
 BACK = 3
 """Samples in a row that are older than the newest: the clock was set back. A network that
 exchanges two has one, and one that repeats them has the same ones."""

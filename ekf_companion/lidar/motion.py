@@ -134,9 +134,17 @@ class Path:
 
 
 def propagate(
-    x: State, samples: Samples, start: float, end: float, settings: Settings
+    x: State,
+    samples: Samples,
+    start: float,
+    end: float,
+    settings: Settings,
+    *,
+    is_turn_estimated: bool = False,
 ) -> tuple[State, Array, Array, Path]:
     """Integrate from one time to another on the inertial clock.
+
+    Turns in a gap are noise, unless they are estimated: then ``EXCESS`` has their variance.
 
     Returns:
         The state, the derivative of its error state by the one before and the covariance that the
@@ -176,7 +184,8 @@ def propagate(
     if is_gap.any():
         # A first-order Gauss-Markov motion: its density below, constant over a shorter gap
         width = 2.0 * np.minimum(span, MOTION_TIME)[is_gap, None]
-        q[is_gap, :3] += np.maximum(GAP_RATE**2, rate[is_gap] ** 2) * width
+        if not is_turn_estimated:
+            q[is_gap, :3] += np.maximum(GAP_RATE**2, rate[is_gap] ** 2) * width
         q[is_gap, 3:6] += GAP_FORCE**2 * width
 
     Phi, Q = np.eye(N), np.zeros((N, N))
@@ -211,6 +220,18 @@ def clipped_between(samples: Samples, start: float, end: float) -> Mask:
     """Return which axes are at the end of their range between two times, by sample, (n, 6)."""
     first, last = np.searchsorted(samples.stamp, [start, end])
     return samples.is_clipped[first:last]
+
+
+def unmeasured_turns(samples: Samples, start: float, end: float) -> Mask:
+    """Return about which axes turns between two times are not measured, shape (3,).
+
+    A sample of the gyro is at the end of its range there, or none came for long.
+    """
+    first, last = np.searchsorted(samples.stamp, [start, end])
+    around = samples.stamp[max(first - 1, 0) : last + 1]
+    if (np.diff(around) > GAP * samples.step).any():
+        return np.ones(3, np.bool_)
+    return np.asarray(clipped_between(samples, start, end)[:, :3].any(axis=0))
 
 
 def _means(samples: Samples, middle: Array) -> tuple[Array, Array, Array, Array, Array]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ekf_companion.lidar import start
 from ekf_companion.lidar.deskew import Deskewed, deskew
-from ekf_companion.lidar.motion import Path, Samples, clipped_between, prepare, propagate
+from ekf_companion.lidar.motion import Path, Samples, prepare, propagate, unmeasured_turns
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
 from ekf_companion.lidar.rows import Match, noise_of_points, sum_rows
 from ekf_companion.lidar.sampling import thin, within_range
@@ -41,7 +41,7 @@ from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.nav.so3 import skew
 
 PARTS = 3
-"""Of a scan in which the gyro is at the end of its range: in each what is beyond is constant."""
+"""Of a scan in which turns are not measured: in each what is not is constant."""
 EXCESS_RATE = 1.0
 """Of it, one sigma, rad/s: a hand or a multirotor turns twice as fast as a small range."""
 FIRST_PART = 3.0
@@ -179,13 +179,13 @@ class Odometry:
         )
 
     def _parts(self, scan: Scan, end_l: float) -> Iterator[tuple[Scan, float]]:
-        """Yield a scan, or its parts if the gyro is at the end of its range, and the end of each.
+        """Yield a scan, or its parts if turns within it are not measured, and the end of each.
 
-        How fast the body turned beyond it is estimated for each part.
+        How fast the body turned besides is estimated for each part.
         """
         end = end_l + self.x.delay
-        is_clipped = clipped_between(self._samples, self._time, end)[:, :3].any()
-        if self._marked.is_none or not is_clipped:
+        is_measured = not unmeasured_turns(self._samples, self._time, end).any()
+        if self._marked.is_none or is_measured:
             yield scan, end_l
             return
         edges = np.linspace(min(self._time - self.x.delay, end_l), end_l, PARTS + 1)
@@ -199,9 +199,16 @@ class Odometry:
         # Carry the state to its end
         end = max(end_l + self.x.delay, self._time)
         P = self.P.copy()
-        is_clipped = clipped_between(self._samples, self._time, end)[:, :3].any(axis=0)
-        P[EXCESS, EXCESS] = np.diag(EXCESS_RATE**2 * is_clipped)
-        x, Phi, Q, path = propagate(self.x, self._samples, self._time, end, self.settings)
+        is_unmeasured = unmeasured_turns(self._samples, self._time, end)
+        P[EXCESS, EXCESS] = np.diag(EXCESS_RATE**2 * is_unmeasured)
+        x, Phi, Q, path = propagate(
+            self.x,
+            self._samples,
+            self._time,
+            end,
+            self.settings,
+            is_turn_estimated=bool(is_unmeasured.all()),
+        )
         P[:N] = Phi @ P[:N]
         P[:, :N] = P[:, :N] @ Phi.T
         P[:N, :N] += Q

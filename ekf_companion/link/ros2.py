@@ -83,7 +83,7 @@ class Ros2:
         try:
             for key, value in said.items():
                 config.insert_json5(key, json.dumps(value))
-            self._session = zenoh.open(config)
+            self._session: Any = zenoh.open(config)
         except zenoh.ZError as error:
             raise LinkError(f"zenoh: {_first(error)}; endpoints are as {ROUTER}") from None
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from ekf_companion.cli import app
 from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.readers import read
-from ekf_companion.lidar.recording import Mounting, Scan
+from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
 from ekf_companion.lidar.rows import Shared, _hold
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import lines_of, solve
@@ -65,6 +65,20 @@ def test_the_pose_is_right_and_within_its_own_sigma(room, solved, score):
     assert apart["rows"] >= 7
     assert apart["not_positive"] == 0
     assert 0.05 < apart["nees_pose"]["mean"] < 4.0
+
+
+@pytest.mark.parametrize("begin", [4.4, 5.4, 6.4, 7.4])
+def test_in_a_gap_of_the_samples_the_turns_are_found_by_the_points(room, score, begin):
+    """Points that are placed by turns that were not measured match what they do not lie on."""
+    inertial = room[1].inertial
+    t = inertial.stamp - inertial.stamp[0]
+    kept = (t < begin) | (t > begin + 0.6)
+    cut = InertialSamples(inertial.stamp[kept], inertial.gyro[kept], inertial.accel[kept])
+    found = solve(replace(room[1], inertial=cut), Settings())
+    scored = score.score(str(room[0]), found.poses, found.covariances())
+    assert scored["ate_start_m"] < 0.05
+    assert scored["nees_position"]["mean"] < 3.0
+    assert scored["nees_rotation"]["mean"] < 3.0
 
 
 def test_a_gyro_at_the_end_of_its_range_costs_no_honesty(room, score):
