@@ -236,6 +236,24 @@ def test_what_is_wrong_in_no_shape_leads_nowhere(name, axes, follows, seed):
     assert np.all(off[-1] < np.maximum(5.0 * wrong[-1, 23:26], 2.0))
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("name", ["figure-eight", "hover", "loiter"])
+def test_a_receiver_that_wanders_is_known_to_be_as_wide_as_it_does(name, seed):
+    """Position and velocity go together, so that nothing but the inertial samples contradicts."""
+    events, _ = flight(name, END + 60.0, seed=seed)
+    right = pipeline("act").run(events).values
+    one = pipeline("act")
+    wrong = one.run(erratic(events, seed, (0, 1), follows=True)).values
+    assert Fault.RECEIVER_WILD in {fault.kind for fault in one.found_faults()}
+    off = np.hypot(*(wrong[:, 3:5] - right[:, 3:5]).T)
+    sigma = np.hypot(*wrong[:, 23:25].T)
+    known = np.isfinite(off)
+    assert known.mean() > 0.9
+    assert np.mean(off[known] < 5.0 * sigma[known] + 1.0) > 0.99
+    # once it has been right for a minute it is believed
+    assert off[-1] < 5.0 * sigma[-1] < 25.0
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_slide_goes_on_through_a_gap(seed):
     """What is held goes on meanwhile, and is known the worse for it."""

@@ -36,12 +36,11 @@ class Instance:
     own and of those that went into it."""
     evidence: Real
     """Log-likelihood of what came since, beside that of no fault."""
-    inertial: Real
-    """Of what is wrong in no shape: the evidence that it is what was integrated instead."""
     p: Real
     """Its posterior probability."""
     is_wide: Real
-    """It is of the tenth that is larger by orders of magnitude."""
+    """It is of the tenth that is larger by orders of magnitude. Of what has no shape: it has been
+    declared."""
     recent: Real
     """Mean NIS a row of the last readings that it shows in."""
     readings: Real
@@ -126,7 +125,7 @@ class Bank:
     read_dt: Real
     """How long ago the reading before the one that is judged was, s."""
     led: Annotated[Vector, AIDS, 3]
-    """How far each row of an aid has been led away from ours, if it follows a wandering velocity."""
+    """How far each row of an aid is led away from ours, if it follows a wandering velocity."""
     led_var: Annotated[Vector, AIDS, 3]
     """Its variance."""
     judged: Count

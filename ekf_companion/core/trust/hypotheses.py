@@ -147,7 +147,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     b.work[0] = cost(b.work[0], b.rows[0])
     b.work[1] = cost(b.work[1], b.rows[1])
     for i in range(b.n):
-        weigh_reading(k, b, i, o, aid, b.work, share)
+        weigh_reading(x, k, b, i, o, aid, b.work, share)
     if aid < AID_VELOCITY:
         follow_led(k, b, o, aid)
     renew(k, b, aid)
@@ -181,9 +181,7 @@ def follow_led(k: Parameters, b: Bank, o: Observation, aid: int) -> None:
         b.led_var[aid][r] *= 1.0 - gain
 
 
-def erratic_var(
-    k: Parameters, b: Bank, h: Instance, aid: int, group: int, since: float
-) -> float:
+def erratic_var(k: Parameters, b: Bank, h: Instance, aid: int, group: int, since: float) -> float:
     """Return the mean square of the errors of an aid's rows that are wrong in no shape.
 
     A position whose velocity is so, too, is off by what that adds up to in the time, s.
@@ -243,7 +241,14 @@ def cost(nis: float, rows: float) -> float:
 
 
 def weigh_reading(
-    k: Parameters, b: Bank, i: int, o: Observation, aid: int, nothing: Vector, share: float
+    x: State,
+    k: Parameters,
+    b: Bank,
+    i: int,
+    o: Observation,
+    aid: int,
+    nothing: Vector,
+    share: float,
 ) -> None:
     """Add what a reading says to the evidence of an instance, and learn its b from it.
 
@@ -252,7 +257,7 @@ def weigh_reading(
     """
     h = address(b.instance[i])
     if shape.is_wild(h.kind):
-        weigh_erratic(k, b, h, o, aid, nothing, share)
+        weigh_erratic(x, k, b, h, o, aid, nothing, share)
         return
     to = address(b.trial)
     rows = h.rows
@@ -296,18 +301,25 @@ def weigh_reading(
 
 
 def weigh_erratic(
-    k: Parameters, b: Bank, h: Instance, o: Observation, aid: int, nothing: Vector, share: float
+    x: State,
+    k: Parameters,
+    b: Bank,
+    h: Instance,
+    o: Observation,
+    aid: int,
+    nothing: Vector,
+    share: float,
 ) -> None:
     """Add what a reading says to the evidence that its source is wrong in no shape.
 
     Where the state is hardly known a reading that fits says little against it: it would then, too;
-    nor does a position whose velocity is wrong: it goes on from where it was.
+    nor does a position whose velocity is wrong: it goes on from where it was. Beside noisy inertial
+    samples outliers alone speak for it.
     """
     g = shape.rows_of(aid, k.fault[h.kind].source)
     if g < 0 or b.rows[g] == 0.0:
         return
     wide = 0.0
-    nis = 0.0
     for r in range(o.rows):
         if g == (1 if b.group[r] != 0.0 else 0):
             own = row_variance(o, r)
@@ -317,14 +329,13 @@ def weigh_erratic(
                 var = own + b.led_var[aid][r]
                 off -= b.led[aid][r]
             wide += off * off / var + log(var / own)
-            nis += o.z[r] * o.z[r] / own
-    rows = b.rows[g]
-    wide = wide if wide < OUTLIER_ROW * rows else OUTLIER_ROW * rows
-    if not is_led_away(k, h, aid):
-        noisy = nis / GATE + log(GATE) * rows
-        h.inertial += 0.5 * share * (nothing[g] - cost(noisy, rows))
-    gain = 0.5 * share * (nothing[g] - wide)
-    h.evidence += gain if gain > 0.0 or h.is_wide == 0.0 else gain / alike(b, aid)
+    most = OUTLIER_ROW * b.rows[g]
+    if wide > most or (score.is_noisy(x) and h.is_wide == 0.0):
+        wide = most
+    gain = 0.5 * (nothing[g] - wide)
+    if gain < 0.0 and h.is_wide != 0.0 and share * alike(b, aid) > 1.0:
+        share = 1.0 / alike(b, aid)
+    h.evidence += share * gain
 
 
 def renew(k: Parameters, b: Bank, aid: int) -> None:
@@ -503,12 +514,7 @@ def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
 
 
 def find_posterior(x: State, k: Parameters, b: Bank) -> None:
-    """Find how probable each instance is; what is level and what is vertical may fail apart.
-
-    What begins to be wrong in no shape may be what is integrated as well, and no source: three
-    times as noisy as taken. The odds before are even where it has been as noisy as configured, and
-    go by the square of how much noisier it has been.
-    """
+    """Find how probable each instance is; what is level and what is vertical may fail apart."""
     most = 0.0
     whole = 0.0
     level = 0.0
@@ -542,10 +548,3 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
             h.p *= 1.0 + vertical / none
         elif k.fault[h.kind].shows == SHOWS_VERTICAL:
             h.p *= 1.0 + level / none
-        if shape.is_wild(h.kind) and h.is_wide == 0.0:
-            odds = x.doubt * x.doubt
-            if h.inertial < h.evidence:
-                odds *= exp(h.inertial - h.evidence)
-            share = h.p / (1.0 + odds)
-            b.nothing += h.p - share
-            h.p = share

@@ -140,7 +140,6 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> in
     span = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
     h.log_prior = log(k.fault[kind].rate * span + LEAST)
     h.evidence = 0.0
-    h.inertial = 0.0
     h.p = 0.0
     h.is_wide = 0.0
     h.recent = 0.0

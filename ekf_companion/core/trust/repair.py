@@ -68,7 +68,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import delay_search, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, score, shape
 from cython.cimports.ekf_companion.core.trust.onsets import begin_instance, drop
 from cython.cimports.libc.math import exp, log
 
@@ -132,7 +132,7 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     """Take back what a source that is wrong in no shape has corrected since its onset.
 
     That is as uncertain as it was large. It goes on to be as probable, until readings say that they
-    are right again.
+    are right again; or begins anew, where there is nothing else to go on by.
     """
     b = address(o.bank[0])
     kind = b.instance[i].kind
@@ -144,6 +144,8 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     add_columns(x, b, i, o.dx, 1.0)
     inject(x, o)
     drop_others(k, b, k.fault[kind].shows, -1)
+    if score.is_noisy(x):
+        return
     h = address(b.instance[begin_instance(x, k, b, kind, 0.0)])
     h.t0 = onset
     p = p if p < SUREST else SUREST

@@ -103,3 +103,11 @@ def find_step(x: State, k: Parameters, b: Bank, span: float) -> float:
     step = slope / (b.information + 1.0 / LOG_SHARE_VAR)
     step = step if step < LARGEST_STEP else LARGEST_STEP
     return step if step > -LARGEST_STEP else -LARGEST_STEP
+
+
+def is_noisy(x: State) -> bool:
+    """Return whether the inertial samples are noisier than configured: they may be what is erratic.
+
+    Nor is there anything to go on by, then, without the source.
+    """
+    return x.doubt > 1.0

@@ -125,7 +125,7 @@ def rows_of(aid: int, source: int) -> int:
 
 
 def offset_of(aid: int, group: int) -> int:
-    """Return the fault that is a constant offset of the level (0) or vertical (1) rows of an aid."""
+    """Return the fault that is an offset of the level (0) or vertical (1) rows of an aid."""
     if aid == AID_POSITION:
         return FAULT_POSITION_STEP
     if aid == AID_VELOCITY:
