@@ -19,6 +19,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.memory.bank import MOVING, Bank
 from cython.cimports.ekf_companion.core.memory.enums import (
+    AID_VELOCITY,
     E_ATT,
     E_BA,
     E_BARO,
@@ -209,7 +210,7 @@ def correct(x: State, o: Observation) -> None:
     with, ``o.dx`` what the state was moved by.
     """
     b = address(o.bank[0])
-    was_judged = cython.declare(cython.bint, b.is_observed != 0)
+    is_led = cython.declare(cython.bint, b.is_observed != 0 and b.judged < AID_VELOCITY)
     take_rows(x, b, o)
     states = carried(x)
     for c in range(3):
@@ -224,7 +225,7 @@ def correct(x: State, o: Observation) -> None:
             for r in range(o.rows):
                 add_row(b.U[c][e], -o.PHt[r][e], b.T[c][r], n)
         turn_rows(b, c, o.dx, n)
-    for r in range(o.rows if was_judged else 0):
+    for r in range(o.rows if is_led else 0):
         for e in range(states):
             b.led[b.judged][r] -= o.H[r][e] * o.dx[e]
 
