@@ -51,7 +51,7 @@ class Dask:
             ConfigError: No scheduler answers, it has no workers, or they run another version.
             UnreachableError: The scheduler ended, or was restarted.
         """
-        from distributed import as_completed
+        from distributed import CancelledError, as_completed
 
         with self._client() as client:
             ahead = max(AHEAD * self._check_workers(client), LEAST_AHEAD)
@@ -60,6 +60,8 @@ class Dask:
             numbers, completed = count(), as_completed()
 
             def submit(item: Item, attempt: int) -> None:
+                if client.status == "closed":  # it was longer without its scheduler than it waits
+                    raise self._lost()
                 key = f"ekf-companion-{name}-{next(numbers)}"
                 pending[key] = item, attempt
                 completed.add(client.submit(task, item, key=key, pure=False))
@@ -67,13 +69,11 @@ class Dask:
             for item in islice(left, ahead):
                 submit(item, 1)
             for future in completed:
-                if future.cancelled():  # by nobody here
-                    raise UnreachableError(
-                        f"{self._option}: the scheduler was lost; once it runs again, run the same "
-                        "command: it goes on where this one ended"
-                    )
                 item, attempt = pending.pop(future.key)
-                outcome = _outcome(future)
+                try:
+                    outcome = _outcome(future)
+                except CancelledError:  # by nobody here
+                    raise self._lost() from None
                 future.release()
                 # Dask gives up a task that was on four lost workers, though it killed none of them
                 is_killed = isinstance(outcome, Lost) and outcome.why == KILLED
@@ -83,6 +83,12 @@ class Dask:
                 for another in islice(left, 1):
                     submit(another, 1)
                 yield item, outcome
+
+    def _lost(self) -> UnreachableError:
+        return UnreachableError(
+            f"{self._option}: the scheduler was lost; once it runs again, run the same command: it "
+            "goes on where this one ended"
+        )
 
     def _client(self) -> Any:
         from distributed import Client, LocalCluster
@@ -140,12 +146,14 @@ class _Closing:
 
 
 def _outcome(future: Any) -> Any:
-    """Return what became of a task."""
+    """Return what became of a task.
+
+    Raises:
+        CancelledError: It was cancelled, as all are when the scheduler is lost.
+    """
     from distributed import KilledWorker
 
-    if future.status == "finished":
+    error = future.exception()
+    if error is None:
         return future.result()
-    error = future.exception() if future.status == "error" else None
-    if error is None or isinstance(error, KilledWorker):
-        return Lost(KILLED)
-    return bug(error)
+    return Lost(KILLED) if isinstance(error, KilledWorker) else bug(error)
