@@ -36,6 +36,8 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
     Fault.GYRO_STEP: ("gyro {:.2f} deg/s off", _DEG),
     Fault.TILT: ("our roll and pitch were {:.1f} deg off", _DEG),
     Fault.YAW: ("our yaw was {:.1f} deg off", _DEG),
+    Fault.LED: ("our position had been led away by {:.0f} % of a way without fixes", 100.0),
+    Fault.LED_ON: ("our position and velocity led away by {:.0f} %, without fixes", 100.0),
     Fault.KICK: ("our velocity was {:.2f} m/s off, as by a shock", 1.0),
     Fault.FIELD: ("magnetic field of {:.3f} gauss beside the Earth's", 1.0),
     Fault.BODY_FIELD: ("the vehicle's magnetic field changed by {:.3f} gauss", 1.0),
@@ -101,8 +103,9 @@ ENDS = (
     *(Fault.FADE, Fault.FADE_HEIGHT),
 )
 """Of what was found these are no faults."""
-OF_ONE_SIZE = (Fault.DELAY, Fault.FADE, Fault.FADE_HEIGHT)
-"""Their other component is no part of the size: what a delay is about, how fast it fades."""
+SIZES = {Fault.DELAY: 1, Fault.FADE: 1, Fault.FADE_HEIGHT: 1, Fault.LED_ON: 2}
+"""Their other components are no part of the size: what a delay is about, how fast it fades, the
+velocity beside the way."""
 
 OF_NO_SIZE = tuple(kind for kind in Fault if kind.name.endswith("_WILD"))
 """What is wrong in no shape has none."""
@@ -133,7 +136,7 @@ class FoundFault(NamedTuple):
         """How many numbers its size has."""
         if self.kind in OF_NO_SIZE:
             return 0
-        return 1 if self.kind in OF_ONE_SIZE else FAULTS[self.kind].rows
+        return SIZES.get(self.kind, FAULTS[self.kind].rows)
 
     @property
     def size_words(self) -> tuple[str, str]:

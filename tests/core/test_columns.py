@@ -126,18 +126,18 @@ def test_what_begins_and_ends_leaves_all_others_as_they_are():
             del expected[b.instance[gone].t0]
             load().onsets.drop(b, gone)
         else:
-            i = load().onsets.make_room(b, int(rng.integers(1, 4)))
+            i = load().onsets.make_room(b, int(rng.integers(1, 5)))
             h = b.instance[i]
-            rows = 1 if i >= b.pairs else 2 if i >= b.triples else 3
+            rows = 1 + sum(i < many for many in (b.pairs, b.triples, b.fours))
             h.rows, h.t0 = rows, float(step)
             U = rng.normal(size=(rows, N))
             for c in range(rows):
                 array(b.U)[c, :, i] = U[c]
             expected[h.t0] = U
-        assert b.n == len(expected) >= b.pairs >= b.triples >= 0
+        assert b.n == len(expected) >= b.pairs >= b.triples >= b.fours >= 0
         for i in range(b.n):
             h = b.instance[i]
-            assert (i < b.triples, i < b.pairs) == (h.rows > 2, h.rows > 1)
+            assert h.rows == 1 + sum(i < many for many in (b.pairs, b.triples, b.fours))
             assert np.array_equal(array(b.U)[: h.rows, :, i], expected[h.t0])
 
 

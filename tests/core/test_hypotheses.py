@@ -7,22 +7,28 @@ import pytest
 
 from ekf_companion.core.memory.enums import Fault, Source
 from ekf_companion.core.settings.faults import FAULTS
-from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
+from ekf_companion.core.settings.settings import (
+    FilterSettings,
+    GnssSettings,
+    VisualVelocitySettings,
+)
 from ekf_companion.engine.faults import OF_NO_SIZE, WORDS
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.nav.state import SIGMA
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.nav.state import SIGMA, Status
 from tests.core.flights import between, flight
 
 METRE = 1.0 / 6.371e6
 """rad of latitude."""
 BEGIN, END = 30.0, 60.0
 """s."""
+KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12))
 
 
 def pipeline(mode: str = "report") -> Pipeline:
     """Return an estimator that knows how late the simulated fixes are."""
-    return Pipeline(replace(FilterSettings(), weigh_faults=mode, gnss=GnssSettings(delay=0.12)))
+    return Pipeline(replace(KNOWN, weigh_faults=mode))
 
 
 def faulty(events: Events, kind: Kind, column: int, by: float, slope: float = 0.0) -> Events:
@@ -270,6 +276,30 @@ def test_a_slide_goes_on_through_a_gap(seed):
     right, wrong = (pipeline("act").run(gap).values[-1] for gap in gaps)
     off = np.abs(wrong[3:6] - right[3:6])
     assert np.all(off < np.maximum(5.0 * wrong[23:26], 2.0))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_receiver_is_blamed_for_where_an_aid_has_led_us_without_it(seed):
+    events, truth = flight("figure-eight", 100.0, seed=seed)
+    t_ns = np.arange(events.t_ns[0], events.t_ns[-1], 50_000_000)
+    vel_n = np.stack([np.interp(t_ns, truth.vel_t_ns, one) for one in truth.vel_n.T], axis=1)
+    at = np.clip(np.searchsorted(truth.att_t_ns, t_ns), 0, len(truth.q_nb) - 1)
+    said = so3.rotate(so3.conjugate(truth.q_nb[at]), vel_n)
+    said += np.random.default_rng(seed).normal(0.0, 0.1, said.shape)
+    said[(t_ns - t_ns[0] > 55e9) & (t_ns - t_ns[0] < 70e9)] *= 0.5
+    unknown, level = np.full(len(t_ns), np.nan), np.zeros(len(t_ns))
+    own = Events.from_columns(t_ns, Kind.VELOCITY, *said.T, unknown, level)
+    cut = events.take(~((events.kind == Kind.GNSS) & between(events, 50.0, 80.0)))
+    right = pipeline("act").run(events).values
+    used = VisualVelocitySettings(use=True)
+    one = Pipeline(replace(KNOWN, weigh_faults="act", visual_velocity=used))
+    table = one.run(merge(cut, own))
+    led = table.values
+    alone = np.abs(table.stamp_ns - t_ns[0] - 65e9) < 12e9
+    assert Status.OK not in table.column("status")[alone]  # nothing contradicts the aid then
+    assert Source.POSITION not in {FAULTS[fault.kind].source for fault in one.found_faults()}
+    off = np.abs(led[-1, 3:6] - right[-1, 3:6])
+    assert np.all(off < np.maximum(5.0 * led[-1, 23:26], 2.0))
 
 
 def test_each_fault_has_its_numbers_and_its_words():

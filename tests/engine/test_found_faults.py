@@ -11,7 +11,7 @@ from ekf_companion.core.settings.settings import FilterSettings, GnssSettings
 from ekf_companion.engine.faults import (
     ENDS,
     OF_NO_SIZE,
-    OF_ONE_SIZE,
+    SIZES,
     SOURCES,
     WORDS,
     FoundFault,
@@ -101,7 +101,7 @@ def test_what_is_erratic_has_no_size(kind):
 
 @pytest.mark.parametrize("kind", [kind for kind in WORDS if kind not in OF_NO_SIZE])
 def test_each_fault_says_its_size_and_a_sigma_in_the_same_unit(kind):
-    rows = 1 if kind in OF_ONE_SIZE else FAULTS[kind].rows
+    rows = SIZES.get(kind, FAULTS[kind].rows)
     size = [0.3, 0.4, 1.2][:rows] + [0.0] * (3 - rows)
     std = [0.05] * rows + [0.0] * (3 - rows)
     one = FoundFault(kind, 10**10, 2 * 10**10, tuple(size), tuple(std), 12.0)

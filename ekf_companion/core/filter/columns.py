@@ -17,7 +17,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import carried
-from cython.cimports.ekf_companion.core.memory.bank import MOVING, Bank
+from cython.cimports.ekf_companion.core.memory.bank import COMPONENTS, MOVING, Bank
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_VELOCITY,
     E_ATT,
@@ -83,7 +83,9 @@ def with_component(b: Bank, c: int) -> int:
     """Return how many instances have more than so many components: the first ones."""
     if c == 0:
         return b.n
-    return b.pairs if c == 1 else b.triples
+    if c == 1:
+        return b.pairs
+    return b.triples if c == 2 else b.fours
 
 
 def add_row(to: Vector, factor: float, of: Vector, n: int) -> None:
@@ -109,7 +111,7 @@ def scale_row(row: Vector, factor: float, n: int) -> None:
 def follow(x: State, b: Bank) -> None:
     """Let all columns follow the state's motion, and what was drawn anew meanwhile."""
     if b.has_moved != 0:
-        for c in range(3):
+        for c in range(COMPONENTS):
             follow_component(b, c, with_component(b, c))
     for e in range(N):
         if x.redrawn[e] != b.redrawn[e]:
@@ -126,7 +128,7 @@ def draw_anew(x: State, b: Bank, e: int) -> None:
     before.
     """
     source = cython.cast(cython.Py_ssize_t, x.copied[e])
-    for c in range(3):
+    for c in range(COMPONENTS):
         for i in range(with_component(b, c)):
             b.U[c][e][i] = b.U[c][source][i] if source >= 0 else 0.0
     if e == E_BARO:
@@ -185,7 +187,7 @@ def look_ahead(b: Bank, i: int, c: int, out: Vector) -> None:
 
 def observe(b: Bank, o: Observation, n: int) -> None:
     """Write into T what each component does to the rows of an observation, by the state: H U."""
-    for c in range(3):
+    for c in range(COMPONENTS):
         many = with_component(b, c)
         for r in range(o.rows):
             for i in range(many):
@@ -213,7 +215,7 @@ def correct(x: State, o: Observation) -> None:
     is_led = cython.declare(cython.bint, b.is_observed != 0 and b.judged < AID_VELOCITY)
     take_rows(x, b, o)
     states = carried(x)
-    for c in range(3):
+    for c in range(COMPONENTS):
         n = with_component(b, c)
         for r in range(o.rows):
             for j in range(r):
@@ -235,7 +237,7 @@ def correct_yaw(x: State, o: Observation) -> None:
     b = address(o.bank[0])
     take_rows(x, b, o)
     states = carried(x)
-    for c in range(3):
+    for c in range(COMPONENTS):
         n = with_component(b, c)
         for e in range(states):
             if o.gain[e] != 0.0:
@@ -247,7 +249,7 @@ def correct_delay(x: State, o: Observation, gain: float) -> None:
     """The same of a correction of the fixes' delay alone, by its gain."""
     b = address(o.bank[0])
     take_rows(x, b, o)
-    for c in range(3):
+    for c in range(COMPONENTS):
         add_row(b.U[c][E_DELAY], -gain, b.T[c][0], with_component(b, c))
 
 
@@ -276,7 +278,7 @@ def save(to: Bank, b: Bank, n: int) -> None:
     to.carried = n
     flat = columns_of(to)
     at = 0
-    for c in range(3):
+    for c in range(COMPONENTS):
         many = with_component(b, c)
         for e in range(n):
             for i in range(many):
@@ -289,7 +291,7 @@ def load(b: Bank, saved: Bank) -> None:
     copy_bank(b, saved)
     flat = columns_of(saved)
     at = 0
-    for c in range(3):
+    for c in range(COMPONENTS):
         many = with_component(b, c)
         for e in range(N):
             for i in range(many):
@@ -302,5 +304,5 @@ def copy_saved(to: Bank, saved: Bank) -> None:
     copy_bank(to, saved)
     flat = columns_of(saved)
     copied = columns_of(to)
-    for i in range(saved.carried * (saved.n + saved.pairs + saved.triples)):
+    for i in range(saved.carried * (saved.n + saved.pairs + saved.triples + saved.fours)):
         copied[i] = flat[i]

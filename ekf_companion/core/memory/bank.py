@@ -17,6 +17,8 @@ FOUND = 32
 """Faults that are kept to be told."""
 DELAYS = 26
 """Delays of the fixes that are compared."""
+COMPONENTS = 4
+"""Most of a fault."""
 MOVING = 15
 """Error states that a transition mixes: attitude, velocity, position, both biases."""
 
@@ -51,9 +53,9 @@ class Instance:
     """Time constant of what settles; the delay about which another is linear, s."""
     reference: Real
     """Height at the onset, m, down."""
-    b: Annotated[Vector, 3]
+    b: Annotated[Vector, COMPONENTS]
     """The fault's mean, in its unit."""
-    M: Annotated[Vector, 3, 3]
+    M: Annotated[Vector, COMPONENTS, COMPONENTS]
     """Its covariance."""
 
 
@@ -79,11 +81,13 @@ class Found:
 class Trial:
     """What an instance learns from one reading, before that is taken."""
 
-    T: Annotated[Vector, 3, 3]
-    """Whitened."""
-    b: Annotated[Vector, 3]
-    M: Annotated[Vector, 3, 3]
-    gain: Annotated[Vector, 3]
+    D: Annotated[Vector, 3, 3]
+    """What a fault adds to the reading itself, by row and component."""
+    T: Annotated[Vector, 3, COMPONENTS]
+    """All that it adds, whitened."""
+    b: Annotated[Vector, COMPONENTS]
+    M: Annotated[Vector, COMPONENTS, COMPONENTS]
+    gain: Annotated[Vector, COMPONENTS]
     """M T'."""
     nis: Annotated[Vector, 2]
     """Of the level rows, of the vertical ones."""
@@ -199,7 +203,9 @@ class Bank:
     pairs: Count
     """Instances of two components or more: they stand first."""
     triples: Count
-    """Of three: they stand before those."""
+    """Of three or more: they stand before those."""
+    fours: Count
+    """Of four: they stand before those."""
     carried: Count
     """Error states whose columns were saved with a bank."""
     has_moved: Count
@@ -207,9 +213,9 @@ class Bank:
     is_observed: Count
     """T is of the observation that is being judged."""
     instance: Annotated[Structs, Instance, INSTANCES]
-    U: Annotated[Vector, 3, N, INSTANCES]
+    U: Annotated[Vector, COMPONENTS, N, INSTANCES]
     """The state's error by each component: the right estimate is x + U b."""
-    T: Annotated[Vector, 3, 3, INSTANCES]
+    T: Annotated[Vector, COMPONENTS, 3, INSTANCES]
     """What a component adds to each row of the innovation."""
     kept: Count
     """Place of the instance that stays while others are dropped; -1: none does."""
@@ -228,7 +234,7 @@ class Bank:
     """The part of it that it is so in no shape."""
     square: Annotated[Vector, 2]
     """That times the mean square of the errors then."""
-    ahead: Annotated[Vector, 3, 9]
+    ahead: Annotated[Vector, COMPONENTS, 9]
     """Columns of an instance as of now."""
     trial: Trial
 

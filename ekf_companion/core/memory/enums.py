@@ -211,6 +211,10 @@ class Fault(IntEnum):
     ACCEL_NOISE = 43
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
     GYRO_NOISE = 44
+    LED = 45
+    """Our position was led away while no receiver could contradict that."""
+    LED_ON = 46
+    """It was, and our velocity still is."""
 
 
 class Source(IntEnum):

@@ -154,9 +154,12 @@ def judge_state(x: State, k: Parameters) -> int:
         pass
     elif is_running(x, AID_VELOCITY) or (x.is_gradual != 0.0 and is_refused(x, AID_VELOCITY)):
         reasons |= REASON_VELOCITY_REFUSED
-    if is_timed_out(x, AID_POSITION, late + 1.0) and not is_judged:
+    if is_timed_out(x, AID_POSITION, late + 1.0):
         is_wrong = is_refused(x, AID_POSITION)
-        reasons |= REASON_POSITION_REFUSED if is_wrong else REASON_POSITION_MISSING
+        if not is_wrong:  # nothing contradicts what is led by an aid
+            reasons |= REASON_POSITION_MISSING
+        elif not is_judged:
+            reasons |= REASON_POSITION_REFUSED
     if x.is_one_sided[AID_POSITION] != 0.0:
         reasons |= REASON_POSITION_OFF
     if x.slide.is_sliding != 0.0:
@@ -171,9 +174,12 @@ def judge_state(x: State, k: Parameters) -> int:
             reasons |= REASON_COMPASS_REFUSED if is_wrong else REASON_COMPASS_MISSING
         else:
             reasons |= REASON_HEADING_REFUSED if is_wrong else REASON_HEADING_MISSING
-    if is_timed_out(x, AID_HEIGHT, late + 1.0) and not is_judged:
+    if is_timed_out(x, AID_HEIGHT, late + 1.0):
         is_wrong = is_refused(x, AID_HEIGHT)
-        reasons |= REASON_HEIGHT_REFUSED if is_wrong else REASON_HEIGHT_MISSING
+        if not is_wrong:
+            reasons |= REASON_HEIGHT_MISSING
+        elif not is_judged:
+            reasons |= REASON_HEIGHT_REFUSED
     if x.is_one_sided[AID_HEIGHT] != 0.0:
         reasons |= REASON_HEIGHT_OFF
     if x.voices.loser == VOICE_HEIGHT:

@@ -59,6 +59,9 @@ FAULTS = {
     Fault.TILT: Prior(Source.STATE, 2, 0.05, 0.5, 1.0, RAMP, ALL),
     Fault.YAW: Prior(Source.STATE, 1, 0.3, 0.3, 0.02, RAMP, ALL),
     Fault.KICK: Prior(Source.STATE, 3, 0.5, 0.5, 1.0, RAMP, ALL),
+    # a share of the way that it may have moved meanwhile, and of its speed
+    Fault.LED: Prior(Source.STATE, 2, 0.3, 1.0, 1.0, STEP, LEVEL),
+    Fault.LED_ON: Prior(Source.STATE, 4, 0.3, 1.0, 1.0, STEP, LEVEL),
     # of the heading: gauss, gauss, rad
     Fault.FIELD: Prior(Source.COMPASS, 2, 0.1, 1.0, 0.3, STEP, LEVEL),
     Fault.BODY_FIELD: Prior(Source.COMPASS, 3, 0.1, 1.0, 0.1, STEP, LEVEL),

@@ -18,10 +18,11 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.slow_error import carried
-from cython.cimports.ekf_companion.core.memory.bank import Bank, Instance
+from cython.cimports.ekf_companion.core.memory.bank import COMPONENTS, Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import EVEN, FADES, NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
+    AID_REST,
     AID_VELOCITY,
     AIDS,
     AZIMUTH_MAGNETIC,
@@ -84,6 +85,7 @@ def begin(x: State, b: Bank) -> None:
     b.n = 0
     b.pairs = 0
     b.triples = 0
+    b.fours = 0
     b.kept = -1
     b.is_observed = 0
     b.fix_t = NEVER
@@ -110,8 +112,10 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     if x.mode != MODE_NAVIGATE or x.needs_reset != 0.0 or x.has_yaw == 0.0:
         return
     columns.follow(x, b)
+    # an aid that no hypothesis is about would blame others for what is wrong with itself
     is_weighed = cython.declare(
-        cython.bint, aid <= AID_VELOCITY or x.t - b.weighed_t[aid] >= SPACING
+        cython.bint,
+        aid <= AID_VELOCITY or (aid <= AID_REST and x.t - b.weighed_t[aid] >= SPACING),
     )
     if aid == AID_VELOCITY:
         delay_search.compare(x, b, o)
@@ -131,9 +135,9 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
             undo(k, b, i, o, aid)
             continue
         shape.find_direct(x, b, h, o, aid)
-        for c in range(h.rows):
+        for c in range(h.rows if h.rows < 3 else 3):
             for r in range(o.rows):
-                b.T[c][r][i] += b.trial.T[r][c]
+                b.T[c][r][i] += b.trial.D[r][c]
     if not is_weighed:
         return
     for g in range(2):
@@ -394,8 +398,8 @@ def widen(k: Parameters, h: Instance) -> None:
     if ratio <= 1.0:
         return
     h.evidence -= LN_TEN
-    for c in range(3):
-        for j in range(3):
+    for c in range(COMPONENTS):
+        for j in range(COMPONENTS):
             h.M[c][j] *= ratio * ratio
 
 

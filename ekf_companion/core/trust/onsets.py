@@ -11,14 +11,17 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.bank import COMPONENTS, INSTANCES, Bank, Instance
+from cython.cimports.ekf_companion.core.memory.constants import NEVER, WITHOUT_FIX
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
     AID_HEIGHT,
     AID_POSITION,
+    AID_RANGE_FINDER,
+    AID_REST,
     AID_VELOCITY,
+    AIDS,
     AZIMUTH_MAGNETIC,
     E_ATT,
     FAULT_ACCEL_NOISE,
@@ -34,6 +37,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
     FAULT_KICK,
+    FAULT_LED,
+    FAULT_LED_ON,
     FAULT_POSITION_STEP,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
@@ -104,10 +109,26 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
         if x.t < b.proven_t:
             return
+        if x.fix_dt > WITHOUT_FIX and was_led(x):
+            for kind in range(FAULT_LED, FAULT_LED_ON + 1):
+                forget_kind(b, kind)
+                begin_instance(x, k, b, kind, x.fix_dt)
         begin_kinds(x, k, b, AID_POSITION, FAULT_POSITION_STEP, FAULT_FALL_RAMP)
         if delay_search.best(b) != 0.0 and x.t - b.begun_t[AID_VELOCITY] < OFTEN:
             begin_instance(x, k, b, FAULT_DELAY, x.fix_dt)
         begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL_WILD)
+
+
+def was_led(x: State) -> bool:
+    """Return whether an aid has led the position since the fix before.
+
+    A range finder does not; inertial samples alone have hypotheses of their own.
+    """
+    for aid in range(AID_REST + 1, AIDS):
+        if aid != AID_RANGE_FINDER and x.has_aid[aid] != 0.0:
+            if x.t - x.used_t[aid] < x.fix_dt * 1e9:
+                return True
+    return False
 
 
 def begin_kinds(x: State, k: Parameters, b: Bank, clock: int, first: int, last: int) -> None:
@@ -144,9 +165,9 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> in
     h.is_wide = 0.0
     h.recent = 0.0
     h.readings = 0.0
-    for c in range(3):
+    for c in range(COMPONENTS):
         h.b[c] = 0.0
-        for j in range(3):
+        for j in range(COMPONENTS):
             h.M[c][j] = 0.0
         h.M[c][c] = k.fault[kind].std * k.fault[kind].std
     for c in range(h.rows):
@@ -167,6 +188,10 @@ def make_room(b: Bank, rows: int) -> int:
         if rows > 2:
             move(b, b.triples, i)
             i = b.triples
+            if rows > 3:
+                move(b, b.fours, i)
+                i = b.fours
+                b.fours += 1
             b.triples += 1
         b.pairs += 1
     b.n += 1
@@ -194,7 +219,7 @@ def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -
     h.log_prior = log(EVER)
     shape.find_direct(x, b, h, o, AID_HEADING)
     for c in range(h.rows):
-        b.U[c][E_ATT + 2][i] = -b.trial.T[0][c]
+        b.U[c][E_ATT + 2][i] = -b.trial.D[0][c]
 
 
 def begin_settling(x: State, k: Parameters, b: Bank) -> None:
@@ -264,7 +289,7 @@ def is_better(younger: Instance, older: Instance) -> bool:
 
 
 def log_determinant(h: Instance) -> float:
-    """Return the logarithm of the determinant of M."""
+    """Return the logarithm of the determinant of M, of three components at most."""
     a = h.M[0][0]
     det = a if a > LEAST_VAR else LEAST_VAR
     total = log(det)
@@ -284,6 +309,10 @@ def log_determinant(h: Instance) -> float:
 def drop(b: Bank, i: int) -> None:
     """Drop an instance; the last one of as many components takes its place, and so on."""
     rows = b.instance[i].rows
+    if rows > 3:
+        b.fours -= 1
+        move(b, b.fours, i)
+        i = b.fours
     if rows > 2:
         b.triples -= 1
         move(b, b.triples, i)

@@ -470,7 +470,7 @@ def suspected_square(x: State, k: Parameters, b: Bank, o: Observation, axis: int
             shape.find_direct(x, b, h, o, AID_POSITION if axis < 2 else AID_HEIGHT)
             off = 0.0
             for c in range(h.rows):
-                off += b.trial.T[r][c] * h.b[c]
+                off += b.trial.D[r][c] * h.b[c]
             square += h.p * off * off
     return square
 

@@ -53,6 +53,8 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_HEIGHT_RAMP,
     FAULT_HEIGHT_STEP,
     FAULT_KICK,
+    FAULT_LED,
+    FAULT_LED_ON,
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
@@ -80,11 +82,13 @@ from cython.cimports.ekf_companion.core.memory.overlay import Dcm
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search
-from cython.cimports.libc.math import exp
+from cython.cimports.libc.math import exp, sqrt
 
 SETTLING_VAR = cython.declare(cython.double, 0.4)
 """Variance of the logarithm of that: 1.9 times faster or slower, half of what the times of
 ``onsets.begin_settling`` are apart."""
+SLOWEST = cython.declare(cython.double, 1.0)
+"""Least speed by which a way is found that we may have been led away along, m/s: a walk."""
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
@@ -198,6 +202,13 @@ def begin(x: State, b: Bank, i: int) -> None:
     elif kind == FAULT_KICK:
         for c in range(3):
             b.U[c][E_VEL + c][i] = 1.0
+    elif kind == FAULT_LED or kind == FAULT_LED_ON:
+        speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1]
+        speed = sqrt(speed2 + SLOWEST * SLOWEST)
+        for c in range(2):
+            b.U[c][E_POS + c][i] = x.fix_dt * speed
+            if kind == FAULT_LED_ON:
+                b.U[2 + c][E_VEL + c][i] = speed
     elif kind == FAULT_TILT:
         b.U[0][E_ATT][i] = 1.0
         b.U[1][E_ATT + 1][i] = 1.0
@@ -270,24 +281,24 @@ def take_off(x: State, o: Observation, aid: int) -> None:
             continue
         for r in range(3):
             for c in range(3):
-                b.trial.T[r][c] = 0.0
+                b.trial.D[r][c] = 0.0
         since = (x.t - b.taken_t[kind]) * 1e-9
-        add_shape(x, b, kind, since, b.taken_tau[kind], b.taken_reference[kind], o, aid, b.trial.T)
+        add_shape(x, b, kind, since, b.taken_tau[kind], b.taken_reference[kind], o, aid, b.trial.D)
         for r in range(o.rows):
             for c in range(3):
-                o.z[r] -= b.trial.T[r][c] * b.taken[kind][c]
-                o.R[r][r] += b.trial.T[r][c] * b.trial.T[r][c] * b.taken_var[kind][c]
+                o.z[r] -= b.trial.D[r][c] * b.taken[kind][c]
+                o.R[r][r] += b.trial.D[r][c] * b.trial.D[r][c] * b.taken_var[kind][c]
 
 
 def find_direct(x: State, b: Bank, h: Instance, o: Observation, aid: int) -> None:
-    """Write what a fault adds to the reading itself: D, as ``b.trial.T[row][component]``."""
+    """Write what a fault adds to the reading itself: D, as ``b.trial.D[row][component]``."""
     for r in range(3):
         for c in range(3):
-            b.trial.T[r][c] = 0.0
+            b.trial.D[r][c] = 0.0
     if h.kind != FAULT_DELAY:
-        add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, b.trial.T)
+        add_shape(x, b, h.kind, (x.t - h.t0) * 1e-9, h.tau, h.reference, o, aid, b.trial.D)
     elif aid <= AID_VELOCITY:
-        add_delay(x, b, h.tau, o, aid, b.trial.T)
+        add_delay(x, b, h.tau, o, aid, b.trial.D)
 
 
 def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm) -> None:
