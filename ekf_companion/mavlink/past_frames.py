@@ -5,11 +5,16 @@ time. The bytes of a message that holds a stamp are its identity, whatever its s
 signature: no sensor says the same at the same time twice. So one that was heard, and is older than
 the newest of its kind, says nothing of the vehicle, and of the clock only that it is the old one.
 
+A late frame that was not heard before is told from one of a clock that was set back by its place:
+its sequence number lies between those of the frames of its kind before and after it, and none of
+the frames that came between had it. The numbers of a clock that was set back go on.
+
 Frames are kept as they are, and looked through when one comes whose stamp is behind.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import islice
@@ -37,6 +42,8 @@ _SAMPLE_SIZE = 32
 """Bytes of its stamp, accelerations and rates: what else it holds depends on the link."""
 _NAMES = {"time_usec": 1, "time_boot_ms": 1000}
 """Stamps by the autopilot's clock, and their unit, us."""
+_HALF = 128
+"""Of the sequence numbers: of two that lie further apart it is not known which was first."""
 _MILLISECONDS = IDS["OPTICAL_FLOW"]
 """ArduPilot, from whom alone it is read, fills its time_usec with ms."""
 
@@ -46,6 +53,47 @@ _READ = (
     *("GPS_RAW_INT", "GPS2_RAW", "GLOBAL_POSITION_INT", "ATTITUDE", "SYSTEM_TIME"),
 )
 """What the decoder reads, and is stamped, beside the messages of the aids."""
+
+
+class _Order:
+    """The order in which the frames of one autopilot were heard: their numbers and stamps."""
+
+    def __init__(self) -> None:
+        self._numbers: list[int] = []
+        self._first = 0
+        """How many were heard before those in it."""
+        self._kinds: dict[int, list[tuple[int, int]]] = {}
+        """Stamps, and how many frames were heard before each, by message id; by stamp."""
+
+    def clear(self) -> None:
+        self._numbers.clear()
+        self._kinds.clear()
+        self._first = 0
+
+    def add(self, message: int, sequence: int, stamp: int | None) -> None:
+        """Add the next frame; ``stamp`` is None where it has none that is read."""
+        if len(self._numbers) == 2 * KEPT:
+            del self._numbers[:KEPT]
+            self._first += KEPT
+            for heard in self._kinds.values():
+                heard[:] = [one for one in heard if one[1] >= self._first]
+        if stamp is not None:
+            insort(self._kinds.setdefault(message, []), (stamp, self._first + len(self._numbers)))
+        self._numbers.append(sequence)
+
+    def misses(self, message: int, sequence: int, stamp: int) -> bool:
+        """Return whether a frame lacks at its place: with this number, at this time."""
+        heard = self._kinds.get(message, [])
+        after = bisect_left(heard, (stamp, 0))
+        if not 0 < after < len(heard):
+            return False
+        begin, end = (heard[i][1] - self._first for i in (after - 1, after))
+        if not 0 < end - begin < _HALF:
+            return False
+        first, last = self._numbers[begin], self._numbers[end]
+        count = (last - first) & 0xFF
+        is_between = 0 < (sequence - first) & 0xFF < count < _HALF
+        return is_between and sequence not in self._numbers[begin:end]
 
 
 def _places(names: Iterable[str]) -> dict[int, tuple[int, int, int]]:
@@ -78,6 +126,8 @@ class PastFrames:
         """Whether somebody was told of a second path."""
         self.is_late = False
         """Whether the last frame was behind, and not heard before."""
+        self.is_in_place = False
+        """Whether it was, and lacked at its place: it is late, and its clock the old one."""
         self._waiting: deque[Frame | tuple[Frames, int, int]] = deque(maxlen=KEPT)
         """What was heard and not looked through yet."""
         self.note: Callable[[Frame], None] = self._waiting.append
@@ -85,6 +135,7 @@ class PastFrames:
         self._more = 0
         """Frames of the runs in it, but for one of each."""
         self._keys: dict[tuple[int, bytes], None] = {}
+        self._order = _Order()
         self.newest: dict[int, int] = {}
         """Stamps, us or ms, of the newest frames that were looked through, by message id. Those of
         fixes are of all that came, which the compiled reader notes too."""
@@ -95,6 +146,7 @@ class PastFrames:
         """Forget all: another autopilot speaks, or this one's clock began anew."""
         self._waiting.clear()
         self._keys.clear()
+        self._order.clear()
         self.newest.clear()
         self._more, self._since_ns = 0, None
 
@@ -135,17 +187,18 @@ class PastFrames:
 
     def holds(self, frame: Frame, clock: TimeBase, now_ns: int) -> bool:
         """Return whether a frame was heard before and is old; keep it if it was not."""
-        self.is_late = self.is_behind(frame, clock)
+        self.is_late, self.is_in_place = self.is_behind(frame, clock), False
         if not self.is_late:
             self.keep(frame)
             return False
-        self._read()
+        self._read(frame[1:3])
         number, place = frame.message_id, self._places[frame.message_id]
         stamp = _stamp(frame.payload, place)
         if stamp >= self.newest.get(number, 0):
             self.keep(frame)
             return False
         if _key(number, frame.payload) not in self._keys:
+            self.is_in_place = self._order.misses(number, frame.sequence, stamp)
             return False  # not kept: of a clock that began anew, a copy says nothing of the old one
         self.is_late = False
         self.again += 1
@@ -160,27 +213,30 @@ class PastFrames:
         """Whether frames have come again for longer than a burst lasts."""
         return self._since_ns is not None and self._until_ns - self._since_ns >= STEADY_NS
 
-    def _read(self) -> None:
-        """Look through the frames that wait."""
+    def _read(self, source: tuple[int, int]) -> None:
+        """Look through the frames of an autopilot that wait, and have come with others in a log."""
         for item in self._waiting:
             if isinstance(item, Frame):
-                self._add(item.message_id, item.payload)
+                self._add(item)
                 continue
             frames, begin, end = item
             for i in range(begin, end):
-                frame = frames.frame(i)
-                self._add(frame.message_id, frame.payload)
+                if (frame := frames.frame(i))[1:3] == source:
+                    self._add(frame)
         self._waiting.clear()
         self._more = 0
         if (excess := len(self._keys) - KEPT) > 0:
             for key in list(islice(self._keys, excess)):
                 del self._keys[key]
 
-    def _add(self, number: int, payload: bytes) -> None:
+    def _add(self, frame: Frame) -> None:
+        number, payload = frame.message_id, frame.payload
         if (place := self._places.get(number)) is None:
+            self._order.add(number, frame.sequence, None)
             return
         self._keys[_key(number, payload)] = None
         stamp = _stamp(payload, place)
+        self._order.add(number, frame.sequence, stamp)
         if stamp > self.newest.get(number, 0):
             self.newest[number] = stamp
 

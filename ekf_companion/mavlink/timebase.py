@@ -335,7 +335,7 @@ def _unwrapped(boot_ms: Stamp, latest_us: int | None) -> Stamp:
 
 
 def _agrees(boot_ms: Stamp, stamp_us: Stamp) -> bool:
-    """Whether milliseconds fit a clock in microseconds, after any number of wraps."""
+    """Whether milliseconds fit a clock in microseconds, after one wrap or more."""
     wrap_us = SHORT * 1000
     away = (boot_ms * 1000 - stamp_us + wrap_us // 2) % wrap_us - wrap_us // 2
-    return abs(away) <= LONG_US
+    return abs(away) <= LONG_US < abs(boot_ms * 1000 - stamp_us)

@@ -8,8 +8,10 @@ import struct
 import threading
 import time
 from binascii import crc_hqx
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from zlib import crc32
+
+import numpy as np
 
 from sim_autopilot.lidar.livox import IMU_PORT, POINT_PORT, LivoxFaults, datagrams
 from sim_autopilot.lidar.record import Simulated
@@ -39,6 +41,7 @@ class Device:
         faults: LivoxFaults | None = None,
         port: int = 0,
         is_held: bool = False,
+        limit: Callable[[], float] = lambda: np.inf,
     ) -> None:
         """Make ready.
 
@@ -50,6 +53,8 @@ class Device:
             port: Of its commands; 0: a free one.
             is_held: Whether what it measures begins with ``begin`` only; else once it is told to
                 send.
+            limit: Returns up to when its clock may run for now, s since its begin: it stops there,
+                so that a busy machine loses nothing of it. A real one never does.
 
         Raises:
             OSError: The address is none of this computer's.
@@ -59,7 +64,7 @@ class Device:
         """Parameters that it does not know."""
         self.is_done = threading.Event()
         self._rows = list(datagrams(flown, begin_ns, faults))
-        self._begin_ns, self._is_held = begin_ns, is_held
+        self._begin_ns, self._is_held, self._limit = begin_ns, is_held, limit
         self._start: float | None = None
         self._targets: dict[int, tuple[str, int]] = {}
         self._is_sampling = False
@@ -92,7 +97,10 @@ class Device:
             if is_told and self._start is None and not self._is_held:
                 self.begin()
             if self._start is not None:
-                now_ns = self._begin_ns + (time.monotonic() - self._start) * 1e9
+                since = time.monotonic() - self._start
+                over = max(since - self._limit(), 0.0)
+                self._start += over
+                now_ns = self._begin_ns + (since - over) * 1e9
                 while row is not None and row[0] <= now_ns:
                     if is_told:
                         with contextlib.suppress(OSError):  # nobody listens there yet

@@ -14,10 +14,11 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
+from ekf_companion.lidar.messages import SCANS
 from ekf_companion.link.ros2 import CLOUD, IMU, stamp_ns
 from tests.daemon.test_aid_port import aid_of, resting
 from tests.daemon.test_daemon import Daemon, Record, assert_same_as_its_messages, free_port, manager
-from tests.daemon.test_run_lidar import MOUNTED, Listener
+from tests.daemon.test_run_lidar import MOUNTED, Listener, pace, wait_for_silence
 from tests.daemon.waiting import LIMIT, wait_until
 from tests.lidar.recordings import cloud, imu, small
 from tests.lidar.test_messages import rows
@@ -151,16 +152,19 @@ def test_the_frame_that_reaches_the_daemon_is_the_pose(tmp_path):
     assert abs(m.time_usec * 1e-6 - time.time()) < LIMIT
 
 
-def play(flown, session, domain=0):
-    """Publish points and samples of a lidar in their time, as rmw_zenoh does."""
+def play(flown, session, domain, is_due):
+    """Publish what a lidar measures as rmw_zenoh does, each message in its time and once due."""
     both = {}
     for topic, kind in (("points", CLOUD), ("imu", IMU)):
         package, _, name = kind.split("/")
         key = f"{domain}/{topic}/{package}::msg::dds_::{name}_/{STORE.hash_rihs01(kind)}"
         both[topic] = Partner(session, key, kind)
+    wait_until(lambda: all(one.is_heard for one in both.values()))
     begin, begin_ns = time.monotonic(), time.time_ns()
     for seconds, kind, k in rows(flown, 12.0):
         time.sleep(max(begin + seconds - time.monotonic(), 0.0))
+        wait_until(lambda seconds=seconds: is_due(seconds))
+        begin = max(begin, time.monotonic() - seconds)  # its clock stood until then
         if kind == "cloud":
             both["points"].put(cloud(flown, k, begin_ns + round(float(flown.stamp[k]) * 1e9)))
         else:
@@ -177,10 +181,15 @@ def test_a_lidar_of_ros_2(tmp_path):
         )
         with Ros2Daemon(tmp_path, "/points", MOUNTED, *options, command="run-lidar") as lidar:
             lidar.wait_for("waiting for it at zenoh, with inertial samples of /imu")
-            time.sleep(1.0)  # both know of each other
-            play(flown, session, 4)
+            limit = pace(daemon, lidar, SCANS)
+
+            def is_due(seconds):
+                daemon.read()
+                return seconds <= limit()
+
+            play(flown, session, 4, is_due)
             wait_until(lambda: len(daemon.read()) >= 20)
-            lidar.wait_for("is silent")
+            wait_for_silence(lidar)
             assert lidar.stop() == 0
     words = lidar.words.read_text()
     assert "Traceback" not in words

@@ -34,6 +34,11 @@ class Partner:
         self._publisher = session.declare_publisher(key)
         self._kind, self._is_rmw, self._count = kind, "/RIHS01_" in key, 0
 
+    @property
+    def is_heard(self):
+        """Whether somebody has subscribed to it."""
+        return self._publisher.matching_status.matching
+
     def put(self, message):
         self.put_bytes(bytes(STORE.serialize_cdr(message, self._kind)))
 
