@@ -21,7 +21,7 @@ quarter of a second, the clock itself was set back.
 
 Stamps that go on by a quarter of a second within milliseconds of our own clock are a burst of old
 packets, and prove nothing; nor does a frame that was heard before (:mod:`.past_frames`), other than
-that the old clock goes on.
+that the old clock goes on. Nor does a late one whose place, by its number, is empty.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Count:
         """When it arrived, by our clock; None: not known."""
 
     def confirm(self) -> None:
-        """Know that the clock goes on as it did: an old frame was heard again."""
+        """Know that the clock goes on as it did: a frame of it was heard again, or late."""
         self.behind_us = self.leap_us = None
 
     def take(self, stamp_us: Stamp, now_us: int | None = None) -> Step:
@@ -247,7 +247,7 @@ class TimeBase:
         return step
 
     def confirm(self) -> None:
-        """Know that the clock goes on as it did: an old frame was heard again."""
+        """Know that the clock goes on as it did: a frame of it was heard again, or late."""
         self.main.confirm()
         self._boot.confirm()
 

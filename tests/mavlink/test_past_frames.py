@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
@@ -119,6 +119,37 @@ def test_late_frames_of_a_stall_fill_their_places_and_are_not_lost(kind):
     missing = len(samples(hear(Session(), heard))) - len(samples(found))
     assert missing <= len(stalled) - len(late) + 5
     assert session.sequence.lost <= len(stalled) + 5
+
+
+@pytest.mark.parametrize(
+    ("share", "late"), [(0.1, 0.5), (0.5, 0.5), (0.5, 1.5), (0.9, 0.6), (0.1, 2.5), (0.02, 1.9)]
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_stream_whose_last_frames_are_all_late_has_no_other_clock(kind, share, late):
+    """Behind the newest they go on for as long as they are late, and nothing newer comes."""
+    heard, rng = flight(kind, 2500), random.Random(5)
+    moved = [(at + round(late * SECOND * (rng.random() < share)), frame) for at, frame in heard]
+    session = Session()
+    found = hear(session, sorted(moved, key=lambda one: one[0]))
+    assert not restarts(found)
+    assert "clock set back" not in session.decoder.context.refused
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("back", [0.41, 1.002, 1.8])
+def test_a_clock_that_was_set_back_on_a_link_that_loses_frames_is_found(back, missing):
+    """Places are empty then, but the numbers of the frames go on."""
+    rng, heard = random.Random(5), flight("HIGHRES_IMU", 4000)
+    sender, given = Sender(1, 1), []
+    for n, (at, frame) in enumerate(heard):
+        set_us = round(back * 1e6) if n >= 2000 else 0
+        said = unpack(Splitter().feed(frame)[0])._asdict()
+        for name in {"time_usec", "time_boot_ms"} & said.keys():
+            said[name] -= set_us if name == "time_usec" else set_us // 1000
+        again = sender.message(LAYOUTS[Splitter().feed(frame)[0].message_id].name, **said)
+        if rng.random() >= missing:
+            given.append((at, again))
+    assert [one.goes_on for one in restarts(hear(Session(), given))] == [True]
 
 
 @pytest.mark.parametrize("kind", KINDS)
