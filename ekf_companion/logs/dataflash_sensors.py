@@ -10,7 +10,7 @@ import numpy as np
 from ekf_companion.logs.dataflash_columns import boot_ns, names_of
 from ekf_companion.logs.dataflash_records import Tables
 from ekf_companion.logs.instances import Good
-from ekf_companion.logs.series import FIX_3D
+from ekf_companion.logs.series import FIX_3D, is_repeated
 from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Mask
 from ekf_companion.nav.earth import is_place
@@ -33,7 +33,7 @@ class Family(NamedTuple):
 
 FAMILIES = {
     "IMU": Family(("IMU", "IMU2", "IMU3"), SECOND_NS // 5, "has no good sample there"),
-    "GPS": Family(("GPS", "GPS2"), 2 * SECOND_NS, "has no fix there"),
+    "GPS": Family(("GPS", "GPS2"), 2 * SECOND_NS, "has no new fix there"),
     "MAG": Family(("MAG", "MAG2", "MAG3"), 3 * SECOND_NS, "has no good field there"),
     "BARO": Family(("BARO", "BAR2", "BAR3"), 3 * SECOND_NS, "has no good pressure there"),
 }
@@ -116,7 +116,11 @@ def _is_fix(rows: Column, before: Column | None) -> Mask:
         times = rows["GMS"].astype(np.int64)
         last = times[:1] - 1 if before is None else before["GMS"].astype(np.int64)
         good &= np.diff(times, prepend=last) != 0
-    return np.asarray(good)
+    # Of the old layout, TimeMS is the time of GPS
+    week = ("TimeMS",) if {"T", "TimeMS"} <= {*names_of(rows)} else ()
+    place = [name for name in ("Lat", "Lng", "Alt") if name in names_of(rows)]
+    velocity = [name for name in ("Spd", "GCrs", "VZ") if name in names_of(rows)]
+    return np.asarray(good & ~is_repeated(rows, before, week, place, velocity))
 
 
 def _is_field(rows: Column, before: Column | None) -> Mask:

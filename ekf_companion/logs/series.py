@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,37 @@ def ascending(t_ns: Stamps) -> Mask:
         return np.zeros(0, dtype=bool)
     newest = np.maximum.accumulate(t_ns)
     return np.concatenate([[True], newest[1:] > newest[:-1]])
+
+
+def is_repeated(
+    rows: npt.NDArray[Any],
+    before: npt.NDArray[Any] | None,
+    time: Sequence[str],
+    place: Sequence[str],
+    velocity: Sequence[str],
+) -> Mask:
+    """Return which fixes are the one before to the bit: the receiver is frozen.
+
+    Also its time is the same then, or it reports a motion in which the place would have changed.
+
+    Args:
+        rows: Of one receiver, shape (n,).
+        before: The row before them, shape (1,); None: there is none.
+        time: Columns of the receiver's own time, where 0 is none; there may be none.
+        place: Columns of its position.
+        velocity: Columns of its velocity.
+    """
+
+    def is_same(*columns: str) -> Mask:
+        values = stack(rows, *columns)
+        last = values[:1] * np.nan if before is None else stack(before, *columns)
+        return np.asarray((np.diff(values, axis=0, prepend=last) == 0.0).all(axis=1))
+
+    is_timed = np.zeros(len(rows), dtype=bool)
+    if time:
+        is_timed = (stack(rows, *time) != 0.0).any(axis=1) & is_same(*time)
+    is_moving = (stack(rows, *velocity) != 0.0).any(axis=1)
+    return np.asarray(is_same(*place, *velocity) & (is_timed | is_moving))
 
 
 def thinned(t_ns: Stamps, rate: float) -> slice:

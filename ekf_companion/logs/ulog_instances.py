@@ -39,7 +39,8 @@ _RATES = tuple(
     f"{field}[{axis}]" for field in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)
 )
 _FIELD = tuple(f"magnetometer_ga[{axis}]" for axis in range(3))
-_PLACES = ({"latitude_deg", "longitude_deg"}, {"lat", "lon"})
+_PLACES = (("latitude_deg", "longitude_deg"), ("lat", "lon"))
+_VELOCITY = ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
 
 
 class Family(NamedTuple):
@@ -68,13 +69,14 @@ def _is_sample(rows: Column, before: Column | None) -> Mask:
     return np.asarray(good & (np.diff(values, axis=0, prepend=last) != 0.0).any(axis=1))
 
 
-def _is_fix(rows: Column, _: Column | None) -> Mask:
+def _is_fix(rows: Column, before: Column | None) -> Mask:
     names = rows.dtype.names or ()
-    if "latitude_deg" in names:
-        place = is_place(rows["latitude_deg"], rows["longitude_deg"])
-    else:
-        place = is_place(rows["lat"] * 1e-7, rows["lon"] * 1e-7)
-    return np.asarray((rows["fix_type"] >= FIX_3D) & place)
+    unit, way = (1.0, _PLACES[0]) if "latitude_deg" in names else (1e-7, _PLACES[1])
+    place = is_place(*(rows[name] * unit for name in way))
+    time = ("time_utc_usec",) if "time_utc_usec" in names else ()
+    height = [name for name in ("altitude_msl_m", "alt") if name in names]
+    repeated = series.is_repeated(rows, before, time, [*way, *height], _VELOCITY)
+    return np.asarray((rows["fix_type"] >= FIX_3D) & place & ~repeated)
 
 
 def _is_field(rows: Column, _: Column | None) -> Mask:
@@ -101,7 +103,7 @@ FAMILIES = (
         "GPS",
         ("vehicle_gps_position", "sensor_gps"),
         2 * SECOND_NS,
-        "has no fix there",
+        "has no new fix there",
         "device_id",
         "",
         (),
@@ -197,7 +199,9 @@ def _sensors(log: Messages, family: Family, tables: Sequence[Table]) -> list[_Se
             found.append(_Sensor(topic, one.instance, rows, device))
     if family.name == "GPS":
         # Rows of two ways to write a place do not fit in one table
-        known = [next((way for way in _PLACES if way <= {*one.rows.names}), None) for one in found]
+        known = [
+            next((way for way in _PLACES if {*way} <= {*one.rows.names}), None) for one in found
+        ]
         found = [one for one, way in zip(found, known, strict=True) if way and way == known[0]]
     if family.name == "IMU" and (ids := _selected(tables, family.selected)):
         last = ids[-1][1]

@@ -132,7 +132,7 @@ def test_a_receiver_that_loses_its_fix_gives_way_to_one_that_has_one(log, read, 
         latitudes(fixes), np.where(seconds(fixes) < 8, OUR_LAT, OTHER_LAT)
     )
     assert noted(recording, "GPS: inst") == [
-        "GPS: instance 1 is used from 7.8 s on: instance 0 has no fix there"
+        "GPS: instance 1 is used from 7.8 s on: instance 0 has no new fix there"
     ]
 
 
@@ -152,6 +152,32 @@ def test_a_fix_that_is_repeated_is_no_fix_of_a_good_receiver(log, read):
         recording = read(data.write())
     fixes = of_kind(recording, Kind.GNSS)
     assert {*latitudes(fixes)[seconds(fixes) > 8.3]} == {OTHER_LAT}
+
+
+@pytest.mark.parametrize("speed", [5.0, 0.0])
+@pytest.mark.parametrize("columns", ["I,GMS", "I", "GMS", ""])
+def test_a_receiver_that_says_the_same_in_motion_is_frozen(read, columns, speed):
+    """Whatever tells the time of its fixes. At rest, without one, it may be right."""
+    log, is_numbered, is_timed = Writer(), "I" in columns, "GMS" in columns
+    log.define(1, "IMU", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    form = "Q" + "B" * is_numbered + "B" + "I" * is_timed + "LLefff"
+    names = ["TimeUS", *["I"] * is_numbered, "Status", *["GMS"] * is_timed]
+    names += ["Lat", "Lng", "Alt", "Spd", "GCrs", "VZ"]
+    for number, name in enumerate(["GPS"] if is_numbered else ["GPS", "GPS2"]):
+        log.define(2 + number, name, form, ",".join(names))
+    for tick in range(SECONDS * 50):
+        us, s = 1_000_000 + 20_000 * tick, tick / 50
+        log.row("IMU", us, 0.01, 1e-3 * (tick % 7), 0, 0, 0, -9.8)
+        for number, t in enumerate([min(s, 8.0), s] if tick % 10 == 0 else []):
+            place = ((OUR_LAT, OTHER_LAT)[number] + round(10 * t), 1491652300, 58400)
+            head = (*[number] * is_numbered, 3, *[round(1000 * t) + 1] * is_timed)
+            log.row("GPS2" if number and not is_numbered else "GPS", us, *head, *place, speed, 0, 0)
+    fixes = of_kind(recording := read(log.data), Kind.GNSS)
+    is_other = latitudes(fixes) < OUR_LAT - 1000
+    is_found = speed > 0.0 or is_timed
+    np.testing.assert_array_equal(is_other, (seconds(fixes) > 8.1) & is_found)
+    assert len(noted(recording, "GPS: ")) <= 1
+    assert any("has no new fix there" in note for note in recording.notes) == is_found
 
 
 def test_a_receiver_is_not_left_for_a_second_without_a_fix(log, read):
@@ -287,11 +313,13 @@ def test_the_second_receiver_of_an_old_log_is_used_where_the_first_has_no_fix(re
     np.testing.assert_array_equal(
         latitudes(fixes), np.where(seconds(fixes) < 6, OUR_LAT, OTHER_LAT)
     )
-    assert noted(recording, "GPS: ") == ["GPS: GPS2 is used from 5.8 s on: GPS has no fix there"]
+    assert noted(recording, "GPS: ") == [
+        "GPS: GPS2 is used from 5.8 s on: GPS has no new fix there"
+    ]
     recording = read(old_log(lambda s: 1, lambda s: 3))
     assert {*latitudes(of_kind(recording, Kind.GNSS))} == {OTHER_LAT}
     assert noted(recording, "GPS: ") == [
-        "GPS: GPS2 is used, as GPS has no fix there; the log also holds GPS"
+        "GPS: GPS2 is used, as GPS has no new fix there; the log also holds GPS"
     ]
 
 

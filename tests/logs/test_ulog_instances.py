@@ -160,7 +160,9 @@ def test_a_receiver_without_a_fix_gives_way_to_the_one_that_has_one(log, read):
     assert len(fixes) == 5 * SECONDS
     assert {*latitudes(fixes)} == {SECOND_LAT}
     assert {*fixes.values[:, GNSS_FLAGS]} == {GnssFlag.NONE}
-    assert noted(recording, "GPS") == ["GPS: sensor_gps 1 is used: sensor_gps 0 has no fix there"]
+    assert noted(recording, "GPS") == [
+        "GPS: sensor_gps 1 is used: sensor_gps 0 has no new fix there"
+    ]
 
 
 @pytest.mark.parametrize("position", [True, False], ids=["chosen topic", "sensors alone"])
@@ -187,8 +189,30 @@ def test_a_receiver_that_loses_its_fix_gives_way_to_the_other_from_there_on(
     np.testing.assert_array_equal(fixes.values[:, GNSS_FLAGS] == GnssFlag.SECOND, is_second)
     was = "vehicle_gps_position 0" if position else "sensor_gps 0"
     assert noted(recording, "GPS: ") == [
-        f"GPS: sensor_gps 1 is used from 7.8 s on: {was} has no fix there"
+        f"GPS: sensor_gps 1 is used from 7.8 s on: {was} has no new fix there"
     ]
+
+
+@pytest.mark.parametrize("position", [False, True])
+@pytest.mark.parametrize("end", [8.0, 0.0, SECONDS])
+def test_a_receiver_that_says_the_same_in_motion_is_left(log, read, monkeypatch, position, end):
+    """Its stamps go on: the driver publishes what it has."""
+
+    def first(number, s):
+        return 3, FIRST_LAT + 1e-6 * min(s, end)
+
+    def fix(log, index, us, fix_type, lat):
+        log.row(index, us, us, lat, 8.5455, 489.0, 2.0, 0, 0, fix_type, 1, 1)
+
+    monkeypatch.setattr(Flight, "_fix", staticmethod(fix))
+    log.gps = lambda number, s: (3, SECOND_LAT + 1e-6 * s) if number else first(number, s)
+    if position:
+        log.position = first
+    recording = read(log)
+    fixes = of_kind(recording, Kind.GNSS)
+    is_second = np.rad2deg(fixes.values[:, 0]) > SECOND_LAT - 1e-9
+    np.testing.assert_array_equal(is_second, seconds(fixes) > (end + 0.1 if end else -1.0))
+    assert len(noted(recording, "GPS")) == (end < SECONDS)
 
 
 def test_the_receiver_that_px4_has_chosen_is_used_as_long_as_it_has_fixes(log, read):
