@@ -4,7 +4,8 @@ The first autopilot that is heard is taken at once, and the choice is corrected 
 one sends heartbeats steadily. A known firmware goes before an unknown one, and component 1 before
 any other of its system. One stray heartbeat must not bind us for ever: an autopilot that is lost is
 waited for while it may be rebooting, if its heartbeats ever came steadily; then another may take
-its place until it is back.
+its place until it is back. One that never sent an inertial sample is not waited for while another
+one sends them, and not returned to: the vehicle is where the samples come from.
 """
 
 from __future__ import annotations
@@ -117,6 +118,8 @@ class Discovery(Service):
         """Of each system whose autopilot was heard."""
         self._known: set[int] = set()
         """Those of them that are PX4 or ArduPilot."""
+        self.sampled: set[int] = set()
+        """Systems that have sent inertial samples; who sees the frames adds them."""
         self._other_id: int | None = None
         self._has_warned = False
         self._awaited_ns = 0
@@ -211,12 +214,22 @@ class Discovery(Service):
                 return True
             if sender == self._given_up and quantise(now_ns) <= self._returns_ns:
                 return is_known or not known
-        return self.is_lost and quantise(now_ns) > self._awaited_ns
+        if not self.is_lost:
+            return False
+        if self._is_sampler(sender[0]):
+            return self.peer[0] not in self.sampled or quantise(now_ns) > self._awaited_ns
+        is_beside_one = any(map(self._is_sampler, self._beats.keys() - {self.peer[0]}))
+        return quantise(now_ns) > self._awaited_ns and not is_beside_one
+
+    def _is_sampler(self, system_id: int) -> bool:
+        """Whether a system is there and has sent inertial samples."""
+        return system_id in self.sampled and self._beats[system_id].is_there
 
     def _change(self, sender: tuple[int, int]) -> None:
         """Listen to somebody else, as if nobody had been heard before."""
         if self.peer is not None:
             is_given_up = self.is_lost and self._awaited_ns > self.heard_ns
+            is_given_up &= self.peer[0] in self.sampled or sender[0] not in self.sampled
             self._given_up = self.peer if is_given_up else None
             self._returns_ns = self.heard_ns + _SOON_NS
             if not self.is_lost:

@@ -33,7 +33,7 @@ STEADY_NS = SECOND_NS
 """Frames that come again for so long come by a second path; a burst is over sooner."""
 _PAUSE_NS = SECOND_NS
 """Frames that come again after such a pause are of another time."""
-_SAMPLES = frozenset(IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"))
+SAMPLES = frozenset(IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"))
 """Theirs are behind by no more than a millisecond, to which other stamps are rounded."""
 _FIXES = frozenset({IDS["GPS_RAW_INT"], IDS["GPS2_RAW"]})
 """Their stamps are those of the receiver's fixes, behind all others."""
@@ -183,7 +183,7 @@ class PastFrames:
             self.newest[frame.message_id] = max(newest, stamp)
             return stamp < newest
         behind = clock.behind(stamp, is_ms=place[2] != 1)
-        return behind is not None and behind > (1000 if frame.message_id in _SAMPLES else SLACK_US)
+        return behind is not None and behind > (1000 if frame.message_id in SAMPLES else SLACK_US)
 
     def holds(self, frame: Frame, clock: TimeBase, now_ns: int) -> bool:
         """Return whether a frame was heard before and is old; keep it if it was not."""

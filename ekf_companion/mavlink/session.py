@@ -41,7 +41,7 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
-from ekf_companion.mavlink.past_frames import PastFrames
+from ekf_companion.mavlink.past_frames import SAMPLES, PastFrames
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.second_source import SecondSource
 from ekf_companion.mavlink.sequence import Sequence
@@ -310,6 +310,8 @@ class Session:
         self.splitter.frames += 1
         self.splitter.is_framed = True
         self.past.note(frame)
+        if frame.message_id in SAMPLES:
+            self.discovery.sampled.add(frame.system_id)
         if frame.message_id in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
         if self.options.is_recording:
@@ -328,6 +330,8 @@ class Session:
             self._hand_to(handlers, frame, now_ns)
         if self.discovery.peer is None:
             self.discovery.recognise(source, now_ns)
+        if frame.message_id in SAMPLES:
+            self.discovery.sampled.add(source[0])
         if source != self.discovery.peer:
             self.ignored[STRANGERS] += 1
             self.second_source.on_frame(frame, now_ns)

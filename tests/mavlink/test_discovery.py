@@ -266,3 +266,55 @@ def test_a_known_family_stays_for_a_heartbeat_that_names_none_and_for_a_single_o
     session.tick(30 * SECOND)
     session.receive(autopilot.heartbeat(autopilot=ARDUPILOT), 31 * SECOND)
     assert session.decoder.family is Family.ARDUPILOT
+
+
+def meet_two(first, second, first_beats, *, end, first_samples=(), step=SECOND // 10):
+    """Return a session that heard two autopilots; the second sends samples all the time."""
+    session = Session(SessionOptions(rates={}))
+    for now_ns in range(0, end * SECOND, step):
+        now = now_ns / SECOND
+        if now_ns % SECOND == 0 and now in first_beats:
+            session.receive(first.heartbeat(), now_ns)
+        for voice in [second] if now >= 1.0 else []:
+            if now_ns % SECOND == 0:
+                session.receive(voice.heartbeat(), now_ns)
+            said = voice.say("HIGHRES_IMU", time_usec=now_ns // 1000, **IMU)
+            session.receive(said, now_ns)
+        if now in first_samples:
+            session.receive(first.say("HIGHRES_IMU", time_usec=now_ns // 1000, **IMU), now_ns)
+        session.tick(now_ns)
+    return session
+
+
+@pytest.mark.parametrize("first", [Voice(7), Voice(7, 1, ARDUPILOT), Voice(7, 42, GENERIC)])
+@pytest.mark.parametrize("last", [0, 1, 5, 20])
+def test_rule_1_one_that_sent_no_sample_is_not_waited_for_beside_one_that_does(first, last):
+    """A bench's or a neighbour's autopilot, whose heartbeats a radio passed on for a while."""
+    session = meet_two(first, Voice(), range(last + 1), end=last + 12)
+    assert session.peer == (1, 1)
+    changed = [e for e in session.events() if isinstance(e, PeerChanged)]
+    assert [(e.was[0], e.now[0]) for e in changed] == [(7, 1)]
+
+
+def test_rule_1_nor_is_it_returned_to():
+    session = meet_two(Voice(7), Voice(), {*range(6), *range(40, 45)}, end=60)
+    assert session.peer == (1, 1)
+    assert chosen(session) == [(7, 1), (1, 1)]
+
+
+def test_rule_1_one_that_has_sent_samples_is_waited_for_beside_another_that_does():
+    session = meet_two(Voice(7), Voice(), {*range(6), *range(25, 60)}, end=60, first_samples={2.0})
+    assert session.peer == (7, 1)
+    assert chosen(session) == [(7, 1)] * 2
+
+
+def test_rule_1_of_two_others_the_one_that_sends_samples_is_taken():
+    session, first = met()
+    talk(session, [first, Voice(3)], range(1, 5))
+    for now_ns in range(5 * SECOND, 50 * SECOND, SECOND):
+        for voice in (Voice(3), Voice(2)):
+            session.receive(voice.heartbeat(), now_ns)
+        said = Voice(2).say("HIGHRES_IMU", time_usec=now_ns // 1000, **IMU)
+        session.receive(said, now_ns)
+        session.tick(now_ns)
+    assert session.peer == (2, 1)
