@@ -50,19 +50,18 @@ ROUNDS = 3
 
 def make_logs(folder: Path, count: int) -> None:
     """Link the recorded flights into a folder, and add damaged copies of them up to a number."""
-    logs = [
-        log for log in find_logs([str(DATA.resolve())]) if log.suffix in (".tlog", ".bin", ".ulg")
-    ]
+    logs = find_logs([str(DATA.resolve())])
     rng = np.random.default_rng(1)
     for number in range(count):
         log = logs[number % len(logs)]
-        target = folder / f"{number:04}-{log.parent.name}{log.suffix}"
+        target = folder / f"{number:04}-{log.parent.name}-{log.name}"
         if number < len(logs):
             target.symlink_to(log)
             continue
         data = bytearray(log.read_bytes()[: int(rng.integers(LARGEST_COPY // 4, LARGEST_COPY))])
-        for place in rng.integers(1000, len(data), 20).tolist():
-            data[place] ^= 0xFF
+        if log.suffix != ".gz":  # of what is packed nothing behind the first can be read
+            for place in rng.integers(1000, len(data), 20).tolist():
+                data[place] ^= 0xFF
         target.write_bytes(data)
 
 
