@@ -48,21 +48,25 @@ ROUNDS = 3
 """Times that processes and Dask are run in turn: the least of each is what it costs."""
 
 
+def link_recorded(folder: Path) -> list[Path]:
+    """Link the recorded flights into a folder, each under a name of its own; return them."""
+    logs = find_logs([str(DATA.resolve())])
+    for number, log in enumerate(logs):
+        (folder / f"{number:04}-{log.parent.name}-{log.name}").symlink_to(log)
+    return logs
+
+
 def make_logs(folder: Path, count: int) -> None:
     """Link the recorded flights into a folder, and add damaged copies of them up to a number."""
-    logs = find_logs([str(DATA.resolve())])
+    logs = link_recorded(folder)
     rng = np.random.default_rng(1)
-    for number in range(count):
+    for number in range(len(logs), count):
         log = logs[number % len(logs)]
-        target = folder / f"{number:04}-{log.parent.name}-{log.name}"
-        if number < len(logs):
-            target.symlink_to(log)
-            continue
         data = bytearray(log.read_bytes()[: int(rng.integers(LARGEST_COPY // 4, LARGEST_COPY))])
         if log.suffix != ".gz":  # of what is packed nothing behind the first can be read
             for place in rng.integers(1000, len(data), 20).tolist():
                 data[place] ^= 0xFF
-        target.write_bytes(data)
+        (folder / f"{number:04}-{log.parent.name}-{log.name}").write_bytes(data)
 
 
 def make_small(folder: Path, count: int) -> None:

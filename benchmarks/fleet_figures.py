@@ -1,72 +1,31 @@
-"""The pictures of docs/FLEET.md: three questions, asked of simulated flights of two airframes.
+"""The pictures of docs/FLEET.md: three questions, asked of the recorded flights.
 
-``python -m benchmarks.fleet_figures`` flies them, half of them with a fault, estimates from them by
-the defaults and by the true noise, delay and lever arm of one airframe, and draws the answers of
-``fleet worst``, ``fleet noise`` and ``fleet compare`` into docs/images.
+``python -m benchmarks.fleet_figures`` estimates from all of them by the defaults, and by fault
+hypotheses that decide, and draws the answers of ``fleet worst``, ``fleet noise`` and ``fleet
+compare`` into docs/images.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ekf_companion.config.config import Config, parse_config
+from benchmarks.fleet import link_recorded
+from ekf_companion.config.config import Config
 from ekf_companion.fleet import campaign, questions
 from ekf_companion.fleet.executor import Processes
 from ekf_companion.fleet.listing import Listing
 from ekf_companion.fleet.load import load
-from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
-from sim_autopilot.faults.fault import parse
-from sim_autopilot.firmware import IDEAL
-from sim_autopilot.flight import Flight
-from sim_autopilot.loop import Bench
-from sim_autopilot.personality import Kind
-from sim_autopilot.recording import TlogWriter
 
-FLIGHTS, DURATION = 10, 60.0
-"""Of each airframe, and s of each flight."""
-AIRFRAMES = {
-    "small quad": SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(delay=0.05)),
-    "large hexa": SimConfig(
-        imu=ImuConfig(rate=50.0, gyro_noise=3e-3, accel_noise=0.05),
-        gnss=GnssConfig(delay=0.25, lever_arm=(0.6, -0.4, -0.3), noise_vel=0.2),
-    ),
-}
-TUNED_FOR = "large hexa"
-TUNED = {
-    "gnss": {"delay": 0.25, "delay_std": 0.01, "lever_arm": [0.6, -0.4, -0.3], "velocity_std": 0.2}
-}
-FAULTS = ("gnss-jump:start=30", "gnss-outage:start=30", "imu-gap:start=35", "baro-step:start=30")
 LONGEST = 60
 """Characters of a verdict."""
 COLORS = {"good": "#4c8c4a", "fair": "#d9a441", "poor": "#b3432f"}
-
-
-def fly(folder: Path) -> Path:
-    """Write the flights and a list of them; return the list."""
-    entries = []
-    for airframe, config in AIRFRAMES.items():
-        for number in range(FLIGHTS):
-            seed = len(entries) + 1
-            scenario = ("figure-eight", "square-spiral", "hover")[number % 3]
-            flight = Flight.plan(scenario, config, seed=seed, duration=DURATION)
-            fault = FAULTS[number // 2 % len(FAULTS)] if number % 2 else ""
-            faults = [parse(fault, DURATION)] if fault else []
-            path = folder / f"{airframe.replace(' ', '-')}-{number}.tlog"
-            bench = Bench(flight, None, personality=IDEAL[Kind.PX4], faults=faults)
-            with TlogWriter(path, flight.config.home.unix) as writer:
-                for t_ns, frame in bench.frames():
-                    writer.write(t_ns, frame)
-            entries.append({"log_id": path.stem, "url": str(path), "airframe_name": airframe})
-    listed = folder / "list.json"
-    listed.write_text(json.dumps(entries))
-    return listed
 
 
 def draw_worst(axes: Axes, answer: questions.Answer) -> None:
@@ -87,6 +46,8 @@ def draw_noise(axes: Axes, answer: questions.Answer, name: str, label: str) -> N
     """Draw median and 90 % of the flights of a quantity, by airframe."""
     rows = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
     for place, row in enumerate(rows):
+        if row[name] is None:
+            continue
         axes.plot([row[f"{name}_p05"], row[f"{name}_p95"]], [place, place], color="#7a9cc6", lw=5)
         axes.plot(row[name], place, "o", color="#1f3b63")
     axes.set_yticks(range(len(rows)), [row["airframe"] for row in rows])
@@ -103,16 +64,16 @@ def draw_compare(axes: Axes, before: object, after: object, answer: questions.An
     )
     logs = [log for log in new if old.get(log) and new[log]]
     a, b = (np.array([one[log] for log in logs]) for one in (old, new))
-    ends = [0.0, 1.1 * max(a.max(), b.max())]
+    ends = [0.8 * min(a.min(), b.min()), 1.2 * max(a.max(), b.max())]
     axes.plot(ends, ends, color="#999999", lw=1)
-    axes.plot(a, b, "o", color="#1f3b63", ms=4)
+    axes.loglog(a, b, "o", color="#1f3b63", ms=4)
     row = next(dict(zip(answer.columns, r, strict=True)) for r in answer.rows if r[0] == column)
     axes.set_title(
         f"{row['better']} better, {row['worse']} worse, {row['equal']} equal, p = {row['p']:.2g}",
         fontsize=8,
     )
-    axes.set_xlabel("horizontal error before, m")
-    axes.set_ylabel("after, m")
+    axes.set_xlabel("from the autopilot, by the defaults, m")
+    axes.set_ylabel("with weigh_faults: act, m")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -128,26 +89,25 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        listing, tables = Listing([f"@{fly(Path(name))}"]), []
-        for number, config in enumerate((Config(), parse_config(TUNED, "tuned"))):
-            place = f"{name}/results-{number}"
-            campaign.run(listing, config, place, Processes(asked.jobs))
+        logs, tables = Path(name) / "logs", []
+        logs.mkdir()
+        link_recorded(logs)
+        for config in (Config(), replace(Config(), weigh_faults="act")):
+            place = f"{name}/{config.weigh_faults}"
+            campaign.run(Listing([str(logs)]), config, place, Processes(asked.jobs))
             tables.append(load(place))
-    first = tables[0]
+    first, second = tables
     figure = Figure(figsize=(7.0, 2.6), layout="constrained")
     draw_worst(figure.subplots(), questions.worst(first, 8))
     save(figure, asked.out / "fleet-worst.png")
-    answer = questions.noise(first, ["airframe"])
-    figure = Figure(figsize=(7.0, 1.8), layout="constrained")
+    known = first.filter([bool(one) for one in first.column("airframe").to_pylist()])
+    answer = questions.noise(known, ["airframe"])
+    figure = Figure(figsize=(7.0, 2.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3, sharey=True)
     draw_noise(left, answer, "gyro_noise_rps", "gyro, rad/s/√Hz")
     draw_noise(middle, answer, "accel_noise_mps2", "accel, m/s²/√Hz")
     draw_noise(right, answer, "gnss_delay_s", "delay learnt, s")
     save(figure, asked.out / "fleet-noise.png")
-    first, second = (
-        one.filter([name == TUNED_FOR for name in one.column("airframe").to_pylist()])
-        for one in tables
-    )
     figure = Figure(figsize=(3.6, 3.2), layout="constrained")
     draw_compare(figure.subplots(), first, second, questions.compare(first, second))
     save(figure, asked.out / "fleet-compare.png")
