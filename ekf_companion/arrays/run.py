@@ -26,7 +26,7 @@ from ekf_companion.filters.observation import Observation
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Stamps, known_rows
-from ekf_companion.nav.earth import pressure_altitude
+from ekf_companion.nav.earth import PRESSURES, pressure_altitude
 from ekf_companion.nav.measurements import (
     GNSS_VELOCITY,
     Events,
@@ -294,7 +294,7 @@ def _baro(read: Reader, given: Mapping[str, Any], imu_ns: Stamps) -> Events:
     t_ns = read.columns("baro", given, ("alt", "pressure"), imu_ns)
     if "pressure" in given:
         pressure = read.array("baro.pressure", given["pressure"], (len(t_ns),))
-        if read.check and not 30_000.0 < float(np.nanmedian(pressure)) < 120_000.0:
+        if read.check and not PRESSURES[0] < float(np.nanmedian(pressure)) < PRESSURES[1]:
             raise DataError(
                 f"baro: pressure: its median is {np.nanmedian(pressure):.5g} Pa, which no air has; "
                 "1013 hPa are 101300 Pa"

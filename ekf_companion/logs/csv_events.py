@@ -14,7 +14,7 @@ from ekf_companion.logs.inertial_units import Samples
 from ekf_companion.logs.recording import counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
-from ekf_companion.nav.earth import LocalFrame, is_place
+from ekf_companion.nav.earth import LocalFrame, is_place, pressure_altitude
 from ekf_companion.nav.event_columns import Arrivals, EventColumns, merged
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
 
@@ -25,11 +25,6 @@ GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
 """m, m, m/s where the file holds no accuracy: a receiver in the open, rounded up."""
 HEADING_STD_DEG = 5.0
 """deg, where the file holds no accuracy."""
-SEA_LEVEL_PRESSURE = 101325.0
-"""Pa; ICAO standard atmosphere, as the next two."""
-SCALE_HEIGHT = 288.15 / 0.0065
-"""m: temperature at sea level by its lapse rate."""
-PRESSURE_EXPONENT = 0.190263
 _HOLDABLE = ("gps", "mag", "baro", "heading", *(one.hold for one in aids.CSV.values()))
 
 
@@ -166,8 +161,7 @@ class EventMaker:
             alt = values["baro_alt"]
         elif "baro_press" in values:
             pressure = values["baro_press"]
-            ratio = np.where(pressure > 0.0, pressure, np.nan) / SEA_LEVEL_PRESSURE
-            alt = SCALE_HEIGHT * (1.0 - ratio**PRESSURE_EXPONENT)
+            alt = pressure_altitude(np.where(pressure > 0.0, pressure, np.nan))
         else:
             return []
         held = [alt] if "baro" in self._hold else None

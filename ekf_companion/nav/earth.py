@@ -131,6 +131,9 @@ SEA_LEVEL_PRESSURE = 101325.0
 _SCALE_HEIGHT = 288.15 / 0.0065
 """Temperature at sea level over its lapse rate, m."""
 _EXPONENT = 0.0065 * 287.05287 / 9.80665
+TROPOSPHERE = -5_000.0, 11_000.0
+"""m; where the standard atmosphere (ICAO Doc 7488) has this lapse rate: from the lowest altitude of
+its tables to the tropopause. No other pressure is read as an altitude."""
 
 Value = TypeVar("Value", float, Array)
 
@@ -139,3 +142,12 @@ def pressure_altitude(pressure: Value) -> Value:
     """Return the altitude, m, at which the standard atmosphere has a pressure (Pa, > 0)."""
     altitude: Value = _SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL_PRESSURE) ** _EXPONENT)
     return altitude
+
+
+def standard_pressure(altitude: float) -> float:
+    """Return the pressure, Pa, that the standard atmosphere has at an altitude, m."""
+    return SEA_LEVEL_PRESSURE * (1.0 - altitude / _SCALE_HEIGHT) ** (1.0 / _EXPONENT)
+
+
+PRESSURES = standard_pressure(TROPOSPHERE[1]), standard_pressure(TROPOSPHERE[0])
+"""Pa; of the troposphere, the least first: 226 to 1777 hPa. In hPa or in Pa: both cannot be."""

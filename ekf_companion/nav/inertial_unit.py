@@ -9,7 +9,7 @@ import math
 
 import cython
 
-from ekf_companion.nav.repetition import LIMITED, Repetition
+from ekf_companion.nav.repetition import MEASURED, Repetition
 
 BLOCK_NS = 40_000_000
 """ns. Two whole blocks and a part of one are over within 0.12 s, and a unit of 50 Hz has two
@@ -87,7 +87,7 @@ class Unit:
         """Take a sample, later than all before; return why it was not measured, if so."""
         why = self.repetition.judge_axes(t_ns // 1000, gx, gy, gz, ax, ay, az)
         self.chance = self.repetition.chance()
-        if why is not None and why != LIMITED:
+        if why is not None and why not in MEASURED:
             return why
         self._now[0], self._now[1], self._now[2] = gx, gy, gz
         self._now[3], self._now[4], self._now[5] = ax, ay, az

@@ -35,7 +35,7 @@ from ekf_companion.nav.inertial_unit import (
     Unit,
     Waiting,
 )
-from ekf_companion.nav.repetition import CHANCE, STUCK, ZERO
+from ekf_companion.nav.repetition import AXIS, CHANCE, STUCK, ZERO
 
 MOST = 4
 """Units that are watched: autopilots have three, and others four."""
@@ -53,7 +53,6 @@ LEFT, USED, CHANGED = range(3)
 """What becomes of a sample: it is not used, it is, or the unit has changed."""
 SILENT = "silent"
 NOT_A_NUMBER = "not a number"
-AXIS = "stuck on an axis"
 UNHEALTHY = "unhealthy by the autopilot's own word"
 CHOSEN = "not the one that the autopilot uses"
 """Why a unit is left, beside ``STEP`` and the reasons of :mod:`.repetition`."""

@@ -37,6 +37,10 @@ _BEFORE_ALL_US = -(2**62)
 
 STUCK = "stuck"
 LIMITED = "at the end of its range"
+AXIS = "stuck on an axis"
+"""One axis says the same, as 0, while the sensor turns about two others."""
+MEASURED = (LIMITED, AXIS)
+"""What is used all the same, for the other axes."""
 ZERO = "absent: all six numbers are zero"
 
 
@@ -52,9 +56,10 @@ class Repetition:
     def __init__(self) -> None:
         if not cython.compiled:
             self._last, self._runs, self._equal = [0.0] * 6, [0] * 6, [0] * 6
+            self._turned, self._then = [0] * 6, [0.0] * 18
         for axis in range(6):
             self._last[axis] = math.nan
-            self._runs[axis] = self._equal[axis] = 0
+            self._runs[axis] = self._equal[axis] = self._turned[axis] = 0
         self._pairs = 0
         self._since_us = 0
         self._newest_us = _BEFORE_ALL_US
@@ -98,15 +103,15 @@ class Repetition:
         if count == 6:
             return None if self._may_stand(t_us) else STUCK
         if not is_large:
-            return None
+            return AXIS if self._has_stuck_axis() else None
         # No motion is at the end of three ranges
         return STUCK if rates == 3 or forces == 3 else LIMITED if count else None
 
     def judge_rows(self, t_ns: Stamps, values: Array) -> Mask:
         """Judge samples in the order of their arrival; return which of them were measured.
 
-        A sample at the end of the range counts as measured, with a larger noise, which the filter
-        finds.
+        A sample at the end of the range, or with an axis that is stuck, counts as measured, with a
+        larger noise, which the filter finds.
 
         Args:
             t_ns: Stamps, shape (n,).
@@ -139,14 +144,14 @@ class Repetition:
                 values[n, 5],
             )
             if why is not None:
-                is_good[n] = why == LIMITED
+                is_good[n] = why in MEASURED
                 self.refused[why] = self.refused.get(why, 0) + 1
 
     def _count(self, axis: int, value: float) -> bool:
         """Count whether an axis repeats its last value; return whether it does."""
         if value != self._last[axis]:
             self._last[axis] = value
-            self._runs[axis] = 0
+            self._runs[axis] = self._turned[axis] = 0
             return False
         self._runs[axis] += 1
         self._equal[axis] += 1
@@ -170,6 +175,29 @@ class Repetition:
     def _is_silent(self, axis: int) -> bool:
         """Whether an axis has been constant for longer than chance explains."""
         return self._chance(axis) < CHANCE
+
+    def _has_stuck_axis(self) -> bool:
+        """Whether an axis is silent, or always was, and the sensor then turns about two others.
+
+        At rest an axis of coarse digits may be, and of a vehicle in a plane all but one are.
+        """
+        is_any = False
+        for axis in range(6):
+            run = self._runs[axis]
+            is_first = self._pairs - run < _FEWEST <= run
+            if not is_first and not self._is_silent(axis):
+                continue
+            turned = self._turned[axis]
+            for other in range(3):
+                place = 3 * axis + other
+                if turned == 0:
+                    self._then[place] = self._last[other]
+                elif other != axis and abs(self._last[other] - self._then[place]) > _RATE:
+                    turned |= 2 << other
+            self._turned[axis] = turned | 1
+            # Two bits or more, beside the lowest: that there is a rate to compare with
+            is_any |= (turned >> 1) & ((turned >> 1) - 1) > 0
+        return is_any
 
     def _may_stand(self, t_us: int) -> bool:
         rate = math.hypot(self._last[0], self._last[1], self._last[2])

@@ -11,19 +11,20 @@ from dataclasses import replace
 import numpy as np
 
 from ekf_companion.nav.arrays import Array, Indices, Mask
-from ekf_companion.nav.earth import is_place
+from ekf_companion.nav.earth import TROPOSPHERE, is_place
 from ekf_companion.nav.held_heading import HELD_NS, HeldHeading
 from ekf_companion.nav.held_velocity import HELD, SINGLE, HeldVelocities
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, HeadingSource, Kind
 from ekf_companion.nav.repetition import Repetition
 
-KINDS = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG)
+KINDS = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
 """Of measurements that are looked at."""
 VELOCITIES = (3, 5)
 """Columns of the velocity north and of that down."""
 NO_PLACE = "without a place, as latitude and longitude 0"
 NO_FIELD = "of zeros"
-"""Why a fix and why a magnetic field are none; the other reasons are those of ``nav``."""
+NO_PRESSURE = "of no pressure of the air"
+"""Why a fix, a magnetic field and a pressure are none; the other reasons are those of ``nav``."""
 GYRO_BIAS = 0.005
 """rad/s: a gyro may seem to turn so fast when it does not, after its autopilot's calibration."""
 DIGIT = 0.005
@@ -66,6 +67,7 @@ class Screen:
         self._count(Kind.MAG, NO_FIELD, int(np.count_nonzero(~is_good[mag])))
         is_good[mag] &= self._are_fields(events, mag, turned)
         is_good[kinds[Kind.GNSS]] = self._are_places(events, kinds[Kind.GNSS])
+        is_good[kinds[Kind.BARO]] = self._are_pressures(events, kinds[Kind.BARO])
         events = self._without_velocities(events, kinds[Kind.GNSS])
         return events if is_good.all() else events.take(is_good)
 
@@ -145,6 +147,14 @@ class Screen:
         lat, lon = np.rad2deg(events.values[rows, :2]).T
         is_good = np.asarray(is_place(lat, lon) | ~np.isfinite(lat + lon), dtype=np.bool_)
         self._count(Kind.GNSS, NO_PLACE, int(np.count_nonzero(~is_good)))
+        return is_good
+
+    def _are_pressures(self, events: Events, rows: Indices) -> Mask:
+        """Return which altitudes the pressure of the air can have, or are not finite, as above."""
+        alt = events.values[rows, 0]
+        lowest, highest = TROPOSPHERE
+        is_good = np.asarray(((alt > lowest) & (alt < highest)) | ~np.isfinite(alt))
+        self._count(Kind.BARO, NO_PRESSURE, int(np.count_nonzero(~is_good)))
         return is_good
 
     def _without_velocities(self, events: Events, rows: Indices) -> Events:

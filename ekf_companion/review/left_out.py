@@ -10,8 +10,8 @@ from ekf_companion.nav.held_heading import ZERO as ZERO_HEADING
 from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
-from ekf_companion.replay.screen import NO_FIELD, NO_PLACE, Screen
+from ekf_companion.nav.repetition import AXIS, LIMITED, STUCK, ZERO
+from ekf_companion.replay.screen import NO_FIELD, NO_PLACE, NO_PRESSURE, Screen
 
 VELOCITIES = (ALWAYS_ZERO, COURSE_HELD, HELD, REPEATED_VELOCITY)
 VERTICAL_ZERO, VERTICAL_HELD = f"vertical {ALWAYS_ZERO}", f"vertical {HELD}"
@@ -23,14 +23,19 @@ _NAMES = {
     Kind.GNSS: "fixes",
     Kind.HEADING: "headings",
     Kind.MAG: "magnetic fields",
+    Kind.BARO: "barometer heights",
 }
 _NOTES = {
     STUCK: "{} of {} {} are of a sensor that is stuck: it says the same again and again, and they "
     "were not used; check the sensor",
+    AXIS: "{} of {} {} are of a sensor with an axis that is stuck: it says the same while others "
+    "turn, and the rotation about it, or the force along it, is not known; check the sensor",
     LIMITED: "{} of {} {} are of a sensor at the end of its range, or with an axis that is stuck: "
     "their noise counts as larger; check the sensor, its mounting and its range",
     ZERO: "{} of {} {} are six zeros, as of a sensor that is absent: they were not used",
     ZERO_HEADING: "{} of {} {} are 0 where there is none: they were not used",
+    NO_PRESSURE: "{} of {} {} are of a pressure that air has nowhere up to 11 km, and were not "
+    "used; check its unit: 1013 hPa are 101300 Pa",
     REPEATED: "{} of {} {} repeat the one before while the vehicle turns, or within a second: they "
     "are held between updates, and were not used",
     ALWAYS_ZERO: "the velocity of {} of {} {} is 0 while the positions move: it is none, and was "
@@ -48,11 +53,13 @@ _NOTES = {
 }
 _WORDS = {
     STUCK: "the inertial sensor is stuck",
+    AXIS: "the inertial sensor is stuck on an axis",
     LIMITED: "the inertial sensor is at the end of its range",
     ZERO: "the inertial sensor is absent",
     ZERO_HEADING: "headings of 0 where there is none",
     NO_PLACE: "fixes without a place",
     NO_FIELD: "magnetic fields of zeros",
+    NO_PRESSURE: "the barometer's pressure is none of the air",
     ALWAYS_ZERO: "the receiver's velocity is always 0",
     HELD: "the receiver's velocity is held",
     VERTICAL_ZERO: "the receiver's vertical velocity is always 0",
@@ -61,7 +68,7 @@ _WORDS = {
 """Held headings are not among them: slow receivers repeat theirs, and it does no harm."""
 
 
-_LOST = (STUCK, ZERO, REPEATED, NO_FIELD)
+_LOST = (STUCK, ZERO, REPEATED, NO_FIELD, NO_PRESSURE)
 """Reasons for which a whole measurement is left out."""
 
 
@@ -105,10 +112,15 @@ def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iter
 
     receivers = ("GPS_RAW_INT", "GPS2_RAW")
     reasons = [
-        *((Kind.IMU, message, why, why) for message in SOURCES for why in (STUCK, LIMITED, ZERO)),
+        *(
+            (Kind.IMU, message, why, why)
+            for message in SOURCES
+            for why in (STUCK, LIMITED, AXIS, ZERO)
+        ),
         *((Kind.GNSS, message, why, why) for message in receivers for why in VELOCITIES),
         (Kind.HEADING, receivers[0], f"yaw {REPEATED}", REPEATED),
         (Kind.MAG, "mag", NO_FIELD, NO_FIELD),
+        (Kind.BARO, "baro", "no pressure of the air", NO_PRESSURE),
     ]
     found = [
         (kind, why, refused[name])

@@ -16,6 +16,7 @@ from ekf_companion.core.order.timeline import Timeline
 from ekf_companion.core.settings.from_settings import delays_ns, parameters
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.health import Arrival
+from ekf_companion.nav.earth import PRESSURES, TROPOSPHERE, pressure_altitude
 from ekf_companion.nav.measurements import WIDTH, Kind, VehicleType
 from ekf_companion.status.aids import sources_of
 from tests.core.interpreted import load
@@ -198,3 +199,10 @@ def test_no_name_is_declared_twice(tmp_path):
     path.write_text(f'\n@aid(Kind.RANGE, words="", sensor="", advice="")\nclass Double:\n{body}\n')
     with pytest.raises(ValueError, match=r"double\.py: Double declares a name twice"):
         declared_in(path)
+
+
+def test_a_barometer_can_say_what_the_standard_atmosphere_has():
+    alt = BY_KIND[Kind.BARO].row["alt"]
+    assert (alt.low, alt.high) == TROPOSPHERE
+    assert [pressure_altitude(one) for one in PRESSURES] == pytest.approx([alt.high, alt.low])
+    assert pytest.approx(PRESSURES, rel=1e-3) == (22_632.0, 177_700.0)

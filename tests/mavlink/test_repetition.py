@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from ekf_companion.nav.repetition import LIMITED, STUCK, Repetition
+from ekf_companion.nav.repetition import AXIS, LIMITED, MEASURED, STUCK, Repetition
 
 PERIOD_US = 4000
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665)
@@ -76,3 +76,44 @@ def test_how_likely_it_is_that_each_axis_measures_falls_with_a_run():
         found.append(repetition.chance())
     # of two thousand none was repeated by chance
     assert found == pytest.approx([-n * math.log(2000.0) for n in range(1, 5)], rel=0.01)
+
+
+def turning(count, axis, begin=0, value=0.0, digits=None, seed=1):
+    """Return samples of a vehicle that turns while an axis says the same from a row on."""
+    t = np.arange(count) * 0.01
+    samples = np.array(noisy(count, seed=seed, mean=STILL))
+    samples[:, :3] += 0.5 * np.sin(np.outer(t, (2.0, 2.3, 1.7)))
+    samples[begin:, axis] = value
+    return [tuple(row) for row in (samples if digits is None else samples.round(digits)).tolist()]
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("begin", [0, 1, 1500])
+@pytest.mark.parametrize("value", [0.0, 0.02])
+def test_an_axis_that_is_stuck_near_0_is_named_while_the_others_turn(axis, begin, value):
+    found = judge(turning(4000, axis, begin, value))
+    assert set(found[:begin]) <= {None}
+    assert set(found[begin + 400 :]) == {AXIS}
+    assert AXIS in MEASURED
+
+
+def test_an_axis_that_speaks_again_is_believed():
+    before, after = turning(2000, 2, 1500), turning(2000, 2, 2000, seed=2)
+    assert set(judge([*before, *after])[2000:]) == {None}
+
+
+@pytest.mark.parametrize("digits", [None, 3, 2])
+def test_a_vehicle_that_lands_and_stands_has_no_axis_that_is_stuck(digits):
+    """With coarse digits an axis says the same then, from the last of the landing on."""
+    flight = turning(3000, 2, 3000, digits=digits)
+    rng = np.random.default_rng(5)
+    rest = STILL + rng.normal(0.0, (2e-4, 4e-4, 1e-5, 0.01, 0.01, 0.01), (6000, 6))
+    rest = rest if digits is None else rest.round(digits)
+    assert set(judge([*flight, *map(tuple, rest.tolist())])) <= {None}
+
+
+def test_a_vehicle_in_a_plane_has_no_axis_that_is_stuck():
+    t = np.arange(4000) * 0.01
+    rows = np.zeros((4000, 6))
+    rows[:, 2], rows[:, 3], rows[:, 5] = np.sin(t), np.cos(t), -9.80665
+    assert set(judge([tuple(row) for row in rows.tolist()])) == {None}

@@ -5,16 +5,23 @@ import re
 import numpy as np
 import pytest
 
+from ekf_companion.engine.health import Aid
 from ekf_companion.errors import LogError
 from ekf_companion.nav.held_heading import REPEATED
 from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD, MOVING, HeldVelocities
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.repetition import LIMITED, STUCK, ZERO
+from ekf_companion.nav.repetition import AXIS, LIMITED, STUCK, ZERO
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.screen import Screen
 from ekf_companion.review.evidence import Evidence
-from ekf_companion.review.left_out import NO_FIELD, VERTICAL_ZERO, LeftOut, of_telemetry
+from ekf_companion.review.left_out import (
+    NO_FIELD,
+    NO_PRESSURE,
+    VERTICAL_ZERO,
+    LeftOut,
+    of_telemetry,
+)
 from ekf_companion.review.verdict import judge
 from tests.rows import BOOT_NS, FORMATS, UTC_ZERO_US, Rows, convert, write
 
@@ -105,6 +112,18 @@ def test_an_accelerometer_at_the_end_of_its_range_is_named_and_used(rows, kind, 
     assert left_out(found)[LIMITED] > 2000
     assert "the inertial sensor is at the end of its range" in verdict(found)
     assert worst(found.tilt, found, 20.0) < 6.0
+
+
+@in_every_format
+@pytest.mark.parametrize("begin", [0.0, 25.0])
+def test_a_gyro_with_an_axis_that_is_stuck_at_0_is_named_and_used(rows, kind, begin, tmp_path):
+    """Yaw is 74 deg off then, and nothing else says why."""
+    is_stuck = rows.since >= begin
+    rows.imu[is_stuck, 2] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[AXIS] > 0.5 * np.count_nonzero(is_stuck)
+    assert "of a sensor with an axis that is stuck" in found.notes
+    assert "the inertial sensor is stuck on an axis" in verdict(found)
 
 
 @in_every_format
@@ -402,6 +421,30 @@ def test_a_field_of_zeros_is_named_in_every_format(rows, kind, begin, end, tmp_p
     assert left_out(found)[NO_FIELD] == pytest.approx(times * count, abs=times + 1)
     assert "magnetic fields are of zeros: they were not used" in found.notes
     assert "magnetic fields of zeros" in verdict(found)
+
+
+@in_every_format
+@pytest.mark.parametrize("alt", [15_900.0, 26_100.0, 11_050.0])
+def test_a_pressure_below_that_of_the_troposphere_is_none_in_every_format(
+    rows, kind, alt, tmp_path
+):
+    """In kPa for hPa; in hPa for Pa; and a balloon's."""
+    is_high = (rows.baro_ns - BOOT_NS) * 1e-9 > 30.0
+    rows.baro[is_high] += alt - rows.baro.mean()
+    found = convert(rows, kind, tmp_path)
+    # In the 32 bits of a message a few are the one before again, which counts once
+    assert left_out(found)[NO_PRESSURE] == pytest.approx(np.count_nonzero(is_high), abs=4)
+    assert "of a pressure that air has nowhere up to 11 km" in found.notes
+    assert "the barometer's pressure is none of the air" in verdict(found)
+    assert worst(found.distance, found, 20.0) < 1.5
+
+
+@in_every_format
+def test_a_vehicle_at_ten_kilometres_has_a_barometer(rows, kind, tmp_path):
+    rows.baro += 10_000.0 - rows.baro.mean()
+    found = convert(rows, kind, tmp_path)
+    assert NO_PRESSURE not in left_out(found)
+    assert found.report.health.fused(Aid.BARO) > 500
 
 
 @pytest.mark.parametrize("kind", ["HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"])

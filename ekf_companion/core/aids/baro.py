@@ -29,7 +29,7 @@ GROUND_EFFECT_HEIGHT = cython.declare(cython.double, 3.0)
 class Baro:
     """The altitude of the standard atmosphere, less the estimated one."""
 
-    alt = Value("m", -1e5, 1e5)
+    alt = Value("m", -5_000.0, 11_000.0)  # nav.earth.TROPOSPHERE
     offset = SlowError("m")
 
 

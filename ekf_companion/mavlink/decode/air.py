@@ -11,7 +11,7 @@ from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.decode.state import FieldState, PressureState
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.nav.earth import pressure_altitude
+from ekf_companion.nav.earth import PRESSURES, pressure_altitude
 from ekf_companion.nav.matrix3 import Vector3
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
@@ -23,8 +23,7 @@ _STRANGE = 100
 """Fields in a row that are not the Earth's, before a human is told."""
 FIRST_OTHER = 3
 """Rank of the message from which on each has a compass of its own: SCALED_IMU2, SCALED_IMU3."""
-LOWEST, HIGHEST = 30_000.0, 120_000.0
-"""Pa; from 9000 m up to below the Dead Sea."""
+LOWEST, HIGHEST = PRESSURES
 
 
 class Magnetometer(FieldState):

@@ -19,7 +19,7 @@ from ekf_companion.nav.inertial_unit import Unit
 from ekf_companion.nav.lanes import CHANGED, LEFT, SHARE, USED, Lanes
 from ekf_companion.nav.matrix3 import Vector3
 from ekf_companion.nav.measurements import ImuSample
-from ekf_companion.nav.repetition import LIMITED, ZERO, Repetition, Sample
+from ekf_companion.nav.repetition import MEASURED, ZERO, Repetition, Sample
 
 SOURCES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 """The best first: whole numbers are coarser, and milliseconds coarser than microseconds."""
@@ -143,17 +143,18 @@ class Inertial(InertialState):
     def is_refused(self, why: str, rank: int = 0) -> bool:
         """Return whether a sample is refused, for it measures nothing; count it, and tell a human.
 
-        At the end of its range it measures still, with a larger noise, which the filter finds.
+        At the end of its range, or with an axis that is stuck, it measures still, with a larger
+        noise, which the filter finds.
         """
         self._context.refused[f"{SOURCES[rank]}: {why}"] += 1
         number = self.instance if rank == 0 else max(rank - 2, 0)
         same = "" if why == ZERO else ": it says the same again and again"
-        use = "so its noise counts as larger" if why == LIMITED else "which is not used"
+        use = "so its noise counts as larger" if why in MEASURED else "which is not used"
         self._context.note_once(
             f"Inertial sensor {number} is {why}{same}, {use}; check the sensor, its mounting and "
             "its range"
         )
-        return why != LIMITED
+        return why not in MEASURED
 
     @property
     def unit(self) -> int:
