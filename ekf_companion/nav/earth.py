@@ -146,7 +146,7 @@ def pressure_altitude(pressure: Value) -> Value:
 
 def standard_pressure(altitude: float) -> float:
     """Return the pressure, Pa, that the standard atmosphere has at an altitude, m."""
-    return SEA_LEVEL_PRESSURE * (1.0 - altitude / _SCALE_HEIGHT) ** (1.0 / _EXPONENT)
+    return float(SEA_LEVEL_PRESSURE * (1.0 - altitude / _SCALE_HEIGHT) ** (1.0 / _EXPONENT))
 
 
 PRESSURES = standard_pressure(TROPOSPHERE[1]), standard_pressure(TROPOSPHERE[0])
