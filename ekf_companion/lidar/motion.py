@@ -160,6 +160,11 @@ def propagate(
     rate = rate - x.gyro_bias - x.excess
     force_b = force - x.accel_bias
     gravity_w = settings.gravity * x.down_w
+    is_gap = span > GAP * samples.step
+    turning = rate[is_gap] ** 2
+    # Longer than motion is like itself, no more than the velocity is expected to last
+    is_unknown = is_gap & (dt > MOTION_TIME)
+    rate = np.where(is_unknown[:, None], 0.0, rate)
 
     half = exp(0.5 * rate * dt[:, None])
     C = np.empty((len(t), 3, 3))
@@ -168,6 +173,7 @@ def propagate(
     for k, turn in enumerate(half):
         middles[k] = C[k] @ turn
         C[k + 1] = middles[k] @ turn
+    force_b = np.where(is_unknown[:, None], -middles.transpose(0, 2, 1) @ gravity_w, force_b)
     accel_w = np.einsum("kij,kj->ki", middles, force_b) + gravity_w
     vel = x.vel_w + np.concatenate([np.zeros((1, 3)), np.cumsum(accel_w * dt[:, None], axis=0)])
     steps = dt[:, None] * (vel[:-1] + 0.5 * dt[:, None] * accel_w)
@@ -180,12 +186,11 @@ def propagate(
     q[:, 3:6] += (settings.inertial_scale * change) ** 2 * SCALE_TIME
     q[:, :3] += CLIPPED_RATE * is_clipped[:, :3]
     q[:, 3:6] += CLIPPED_FORCE * is_clipped[:, 3:]
-    is_gap = span > GAP * samples.step
     if is_gap.any():
         # A first-order Gauss-Markov motion: its density below, constant over a shorter gap
         width = 2.0 * np.minimum(span, MOTION_TIME)[is_gap, None]
         if not is_turn_estimated:
-            q[is_gap, :3] += np.maximum(GAP_RATE**2, rate[is_gap] ** 2) * width
+            q[is_gap, :3] += np.maximum(GAP_RATE**2, turning) * width
         q[is_gap, 3:6] += GAP_FORCE**2 * width
 
     Phi, Q = np.eye(N), np.zeros((N, N))
@@ -227,7 +232,8 @@ def unmeasured_turns(samples: Samples, start: float, end: float) -> Mask:
 
     A sample of the gyro is at the end of its range there, or none came for long.
     """
-    first, last = np.searchsorted(samples.stamp, [start, end])
+    first = np.searchsorted(samples.stamp, start, side="right")
+    last = np.searchsorted(samples.stamp, end)
     around = samples.stamp[max(first - 1, 0) : last + 1]
     if (np.diff(around) > GAP * samples.step).any():
         return np.ones(3, np.bool_)

@@ -16,8 +16,10 @@ import numpy as np
 
 from ekf_companion.lidar import start
 from ekf_companion.lidar.deskew import Deskewed, deskew
+from ekf_companion.lidar.gap import Lost, Unknown, joined, later, resumption, turn_between
 from ekf_companion.lidar.motion import Path, Samples, prepare, propagate, unmeasured_turns
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, Scan
+from ekf_companion.lidar.relocation import relocate
 from ekf_companion.lidar.rows import Match, noise_of_points, sum_rows
 from ekf_companion.lidar.sampling import thin, within_range
 from ekf_companion.lidar.settings import Settings
@@ -33,8 +35,9 @@ from ekf_companion.lidar.state import (
     VEL,
     N,
     State,
+    exp,
 )
-from ekf_companion.lidar.update import Anchor, Update, correct, first, shift_by_state
+from ekf_companion.lidar.update import Anchor, Update, at_place, correct, first, shift_by_state
 from ekf_companion.lidar.voxel_map import VoxelMap
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.direction import direction_by_angles
@@ -107,6 +110,10 @@ class Odometry:
         self.map = VoxelMap(settings)
         self.anchors: list[Anchor] = []
         self._waiting: list[Scan] = []
+        self._resumed: float | None = None
+        """When samples went on after a time of which nothing is known, s; None: there was none."""
+        self._lost = Lost(np.eye(3), np.zeros(3), np.zeros((POSE, POSE)))
+        self.unknown: list[Unknown] = []
         self._usage: dict[int, float] = {}
         self._count = 0
         self._is_started = self._is_moving = False
@@ -117,6 +124,8 @@ class Odometry:
             self.P[CALIBRATION, CALIBRATION] = calibration
         self._marked = Marked(settings.spacing, alignment)
         self._insertions = 0
+        self._share = 0.0
+        """Of the points of the last scan that were compared with planes."""
         self._time = 0.0
         """Of the state, inertial clock, s."""
 
@@ -126,16 +135,39 @@ class Odometry:
 
     def process(self, scan: Scan) -> list[Estimate]:
         """Take the next scan; return the new estimates: none before the start is found."""
+        made: list[Estimate] = []
+        resumed = self._resumption(scan)
+        if resumed is not None:
+            # What came before it goes by itself
+            made, self._is_started, self._resumed = self.finish(), False, resumed
         if self._is_started:
             return [self._step(scan)]
+        if self._resumed is not None:
+            scan = later(scan, self._resumed - self.x.delay)
+            if not len(scan.times) and scan.stamp <= self._resumed - self.x.delay:
+                return made
         self._waiting.append(scan)
         if scan.stamp - self._waiting[0].stamp < start.SPAN:
-            return []
-        return self._begin()
+            return made
+        return made + self.finish()
+
+    def _resumption(self, scan: Scan) -> float | None:
+        """Return when samples go on, if nothing is known of a time before a scan; else None."""
+        if self._is_started:
+            since = self._time
+        elif self._waiting:
+            last = self._waiting[-1]
+            since = last.stamp + float(last.times.max(initial=0.0)) + self.x.delay
+        else:
+            return None
+        first = scan.stamp + float(scan.times.min(initial=0.0)) + self.x.delay
+        return resumption(self._samples, since, first)
 
     def finish(self) -> list[Estimate]:
         """Return the estimates of a recording that ended before its start was found."""
-        return [] if self._is_started or not self._waiting else self._begin()
+        if self._is_started or not self._waiting:
+            return []
+        return self._begin() if self._resumed is None else self._resume()
 
     def release(self, calibration: Array | None = None) -> None:
         """Correct mounting and delay from now on, with another covariance if there is one."""
@@ -158,6 +190,69 @@ class Odometry:
         self._waiting = []
         return [self._step(scan) for scan in scans]
 
+    def _resume(self) -> list[Estimate]:
+        """Find the motion after a time of which nothing is known, and the place in the map."""
+        scans, self._is_started = self._waiting, True
+        self._waiting, self._resumed = [], None
+        since, begin = self._time, scans[0].stamp + self.x.delay
+        was_at_rest = start.is_still(self.x.vel_w, start.REST_SPEED**2 * np.eye(3))
+        x, Phi, Q, _ = propagate(self.x, self._samples, since, begin, self.settings)
+        P = self.P
+        P[:N] = Phi @ P[:N]
+        P[:, :N] = P[:, :N] @ Phi.T
+        P[:N, :N] += Q
+        mounting = Mounting(x.C_bl, x.pos_b)
+        # Steady motion that nothing shows is not taken for rest
+        motion, P_motion = start.find(
+            scans,
+            self._samples,
+            mounting,
+            self.settings,
+            x.delay,
+            vel=x.C_wb.T @ x.vel_w,
+            may_rest=was_at_rest,
+        )
+        points = start.together(scans, self._samples, motion, self.settings)
+
+        # The tilt is that of gravity, and the heading the predicted one
+        C = exp(turn_between(x.C_wb @ motion.down_w, x.down_w)) @ x.C_wb
+        yaw = float(np.sqrt(motion.down_w @ P[ATT, ATT] @ motion.down_w))
+        place = relocate(points, self.map, x.down_w, C, x.pos_w, yaw, P[POS, POS], self._share)
+        if place is not None:
+            C, x = place.C, replace(x, pos_w=place.pos_w)
+        T, M = joined(C, motion, x.down_w)
+        P[:N] = T @ P[:N]
+        P[:, :N] = P[:, :N] @ T.T
+        P[:N, :N] += M @ P_motion @ M.T
+        self.x, self._time = x.moved(C, x.pos_w, C @ motion.vel_w), begin
+        self.unknown.append(Unknown(since - x.delay, begin - x.delay, is_found=place is not None))
+        if place is None:
+            self._begin_anew(P_motion, motion)
+        else:
+            self.P = at_place(self.x, P, self.anchors, place)
+        return [self._step(scan) for scan in scans]
+
+    def _begin_anew(self, P_motion: Array, motion: State) -> None:
+        """Begin another map at a pose whose error is kept apart.
+
+        Headings of a large error would be corrected by what is of second order in it.
+        """
+        x, P = self.x, self.P
+        self._lost = Lost(x.C_wb, x.pos_w, self._lost.added(x, P)[:POSE, :POSE])
+        marked = self._marked.as_exact(x, P)
+        self.map, self.anchors, self._usage = VoxelMap(self.settings), [], {}
+        self._is_moving = bool(motion.vel_w.any())
+        G = np.eye(N)
+        G[VEL, VEL] = x.C_wb
+        to_angles = direction_by_angles(x.down_w).T
+        G[DOWN, DOWN] = to_angles @ x.C_wb @ direction_by_angles(motion.down_w)
+        calibration = P[CALIBRATION, CALIBRATION].copy()
+        self.P = np.zeros((first(0), first(0)))
+        self.P[:N, :N] = G @ P_motion @ G.T
+        self.P[CALIBRATION, CALIBRATION] = calibration
+        self.P[MARKED, MARKED] = marked
+        self.x = replace(x, gyro_bias=motion.gyro_bias, accel_bias=motion.accel_bias)
+
     def _step(self, scan: Scan) -> Estimate:
         end_l = scan.stamp + (float(scan.times.max()) if len(scan.times) else 0.0)
         clipped, lost, evaluations, update = 0, 0.0, 0, None
@@ -169,7 +264,7 @@ class Odometry:
         return Estimate(
             stamp=end_l,
             state=self.x,
-            P=self.P[:N, :N] + self._alignment**2 * _square(by_axes(self.x)),
+            P=self._lost.added(self.x, self.P) + self._alignment**2 * _square(by_axes(self.x)),
             travelled=travelled,
             relative=travelled if self._marked.renew(end_l, self.x, self.P) else None,
             match=None if update is None or update.sums is None else update.sums.match,
@@ -240,6 +335,7 @@ class Odometry:
         )
         self.x, self.P = update.state, update.P
         if update.sums is not None:
+            self._share = update.sums.match.used / len(some.points)
             for number, share in update.sums.usage.items():
                 self._usage[number] = self._usage.get(number, 0.0) * 0.9 + 0.1 * share
 
@@ -333,6 +429,8 @@ class Odometry:
 
 MARKED = slice(N, N + POSE)
 """Errors of the marked pose in the covariance."""
+POSES = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
+"""Those of the present and of the marked one."""
 
 
 class Marked:
@@ -353,6 +451,14 @@ class Marked:
         if self._at is None:
             return None
         return relative_pose(*self._at, stamp, x, P, self._alignment)
+
+    def as_exact(self, x: State, P: Array) -> Array:
+        """Return the covariance of the marked pose as if the present one were exact, (6, 6)."""
+        if self._at is None:
+            return np.zeros((POSE, POSE))
+        J = by_poses(self._at[1], x)
+        to_marked = np.linalg.solve(J[:, POSE:], J)
+        return np.asarray(to_marked @ P[np.ix_(POSES, POSES)] @ to_marked.T)
 
     def renew(self, stamp: float, x: State, P: Array) -> bool:
         """Mark the pose, in P too, where the marked one is old enough; return whether it is."""
@@ -379,17 +485,23 @@ def relative_pose(
     """
     C = then.C_wb.T @ x.C_wb
     pos = then.C_wb.T @ (x.pos_w - then.pos_w)
-    J = np.zeros((POSE, 2 * POSE))
-    J[:3, POS] = then.C_wb.T
-    J[:3, 9:12] = -then.C_wb.T
-    J[:3, 6:9] = skew(pos)
-    J[3:, ATT] = np.eye(3)
-    J[3:, 6:9] = -C.T
-    at = np.concatenate([np.arange(POSE), np.arange(N, N + POSE)])
-    P = J @ P[np.ix_(at, at)] @ J.T
+    J = by_poses(then, x)
+    P = J @ P[np.ix_(POSES, POSES)] @ J.T
     turned = np.vstack([skew(pos), np.eye(3) - C.T])
     P += alignment**2 * _square(turned)
     return RelativePose(start=start, end=end, C=C, pos=pos, P=0.5 * (P + P.T))
+
+
+def by_poses(then: State, x: State) -> Array:
+    """Return the derivative of a relative pose by the errors of the later and the earlier pose."""
+    C = then.C_wb.T @ x.C_wb
+    J = np.zeros((POSE, 2 * POSE))
+    J[:3, POS] = then.C_wb.T
+    J[:3, 9:12] = -then.C_wb.T
+    J[:3, 6:9] = skew(then.C_wb.T @ (x.pos_w - then.pos_w))
+    J[3:, ATT] = np.eye(3)
+    J[3:, 6:9] = -C.T
+    return J
 
 
 def by_axes(x: State) -> Array:

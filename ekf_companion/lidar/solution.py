@@ -12,6 +12,7 @@ import numpy as np
 
 from ekf_companion.lidar import radar
 from ekf_companion.lidar.calibration import calibrate
+from ekf_companion.lidar.gap import Unknown
 from ekf_companion.lidar.odometry import Odometry
 from ekf_companion.lidar.recording import Recording
 from ekf_companion.lidar.settings import Settings
@@ -55,6 +56,8 @@ class Solution:
     """Of the map, levelled, m, shape (n, 3)."""
     share: float = POOR
     """Of the way that the sigma may be in a good result."""
+    unknown: tuple[Unknown, ...] = ()
+    """Times of which nothing is known."""
 
     @property
     def poses(self) -> Array:
@@ -146,6 +149,16 @@ class Solution:
             )
         if self.track.lost > 0.0:
             lines.append(f"{self.track.lost:.1f} s without inertial samples: noise widened")
+        for one in self.unknown:
+            found = (
+                "the place in the map was found again"
+                if one.is_found
+                else "it was not found again in the map: another map begins where it was thought "
+                "to be, and how far that may be off is in the sigmas"
+            )
+            lines.append(
+                f"inertial samples are missing from {one.start:.1f} to {one.end:.1f} s: {found}"
+            )
         if (last := self.track.last) is not None:
             if last.P[23, 23] > 0.0:
                 lines.append(
@@ -202,6 +215,7 @@ def solve(recording: Recording, settings: Settings) -> Solution:
         track=track,
         C_level=C_level,
         points=odometry.map.points() @ C_level.T,
+        unknown=tuple(odometry.unknown),
     )
 
 

@@ -74,16 +74,21 @@ def find(
     mounting: Mounting,
     settings: Settings,
     delay: float = 0.0,
+    *,
+    vel: Array | None = None,
+    may_rest: bool = True,
 ) -> tuple[State, Array]:
     """Return the state at the beginning of the first scan, and its covariance, shape (27, 27).
 
-    The world is the body there; the position and the attitude are zero by definition.
+    The world is the body there; the position and the attitude are zero by definition. ``vel``
+    is the velocity that is expected, m/s; what is not seen to move is at rest, if it may.
     """
     x = State(C_bl=mounting.rotation, pos_b=mounting.position, delay=delay)
     path = _path(scans, x, samples, settings)
     steps = np.diff(path.stamp)
     mean = steps @ path.accel_w / max(float(steps.sum()), 1e-9)
-    motion = prior = np.concatenate([np.zeros(3), -mean, np.zeros(3)])
+    expected = np.zeros(3) if vel is None else vel
+    motion = prior = np.concatenate([expected, -mean, np.zeros(3)])
     P = np.diag(variances(settings))
     points = _carried(scans, path, x, settings)
     number = 0
@@ -100,8 +105,15 @@ def find(
         gyro_bias=motion[6:],
         down_w=motion[3:6] / size if is_found else np.array([0.0, 0.0, -1.0]),
     )
-    begin, end = scans[0].stamp, scans[-1].stamp
-    return settled(x, AGAIN * P, rest(begin, end, samples), mean, settings)
+    spread = rest(scans[0].stamp, scans[-1].stamp, samples) if may_rest else None
+    return settled(x, AGAIN * P, spread, mean, settings)
+
+
+def together(scans: Sequence[Scan], samples: Samples, x: State, settings: Settings) -> Array:
+    """Return the points of some scans in w, by the motion that was found of them, m, (n, 3)."""
+    still = State(C_bl=x.C_bl, pos_b=x.pos_b, delay=x.delay)
+    motion = np.concatenate([x.vel_w, settings.gravity * x.down_w, x.gyro_bias])
+    return _carried(scans, _path(scans, still, samples, settings), still, settings).placed(motion)
 
 
 def settled(

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_companion.lidar.relocation import Place
 from ekf_companion.lidar.rows import Sums
 from ekf_companion.lidar.state import (
     ACCEL_BIAS,
@@ -150,6 +151,21 @@ def _apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
     mixed = across @ T.transpose(0, 2, 1)
     made = P[POS, POS] + mixed + mixed.transpose(0, 2, 1) + T @ own @ T.transpose(0, 2, 1)
     return {one.number: made[k] for k, one in enumerate(anchors)}
+
+
+def at_place(x: State, P: Array, anchors: Sequence[Anchor], place: Place) -> Array:
+    """Return the covariance of a state that was put to a place in the map, which is as it was."""
+    H = np.zeros((POSE, len(P)))
+    H[:, :POSE] = np.eye(POSE)
+    for k, one in enumerate(anchors):
+        if one.number == place.owner:
+            T = -moved_to((x.pos_w - one.about_w)[None])[0]
+            H[ATT, first(k) : first(k + 1)] = x.C_wb.T @ T[3:]
+            H[POS, first(k) : first(k + 1)] = T[:3]
+    PH = P @ H.T
+    after = P - PH @ np.linalg.solve(H @ PH + place.P, PH.T)
+    after[N:, N:] = P[N:, N:]
+    return np.asarray(0.5 * (after + after.T))
 
 
 def assemble(

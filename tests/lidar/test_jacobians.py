@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from ekf_companion.lidar.deskew import deskew
+from ekf_companion.lidar.gap import Lost, joined, turn_between
 from ekf_companion.lidar.motion import prepare, propagate
 from ekf_companion.lidar.odometry import by_axes, recentred
 from ekf_companion.lidar.recording import InertialSamples
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import ATT, POS, POSE, N, State, exp
+from ekf_companion.lidar.state import ATT, DOWN, POS, POSE, VEL, N, State, exp
 from ekf_companion.lidar.update import SEEN_WITH_MOUNTING, shift_by_state
 
 STEP = 1e-5
@@ -161,3 +162,34 @@ def test_axes_of_a_body_that_are_not_those_of_the_gyro_move_what_is_returned():
 
     # Central differences of 1e-5, of 20 m
     assert np.allclose(by_axes(x), central(turned, 3), atol=1e-8)
+
+
+def test_a_motion_that_was_found_anew_has_the_derivatives_that_it_says():
+    x = some_state()
+    motion = State(vel_w=np.array([3.0, -1.0, 0.5]), down_w=x.C_wb.T @ x.down_w)
+
+    def after(before, motion):
+        C = exp(turn_between(before.C_wb @ motion.down_w, before.down_w)) @ before.C_wb
+        return before.moved(C, before.pos_w, C @ motion.vel_w)
+
+    whole = after(x, motion)
+    T, M = joined(x.C_wb, motion, x.down_w)
+    seen = central(lambda dx: after(x.plus(dx), motion).minus(whole))
+    np.testing.assert_allclose(seen, T, atol=1e-7)  # central difference, step 1e-5
+    seen = central(lambda dx: after(x, motion.plus(dx)).minus(whole))
+    np.testing.assert_allclose(seen[:, VEL], M[:, VEL], atol=1e-7)
+    np.testing.assert_allclose(seen[:, DOWN], M[:, DOWN], atol=1e-7)
+
+
+def test_the_error_of_a_pose_at_which_a_map_began_is_that_of_all_after_it():
+    begin, x = some_state(4), some_state(5)
+
+    def moved(dx):
+        turn = begin.C_wb @ exp(dx[ATT]) @ begin.C_wb.T
+        pos = begin.pos_w + dx[POS] + turn @ (x.pos_w - begin.pos_w)
+        return x.moved(turn @ x.C_wb, pos, turn @ x.vel_w)
+
+    seen = central(lambda dx: moved(dx).minus(x), POSE)
+    P = np.diag([0.01, 0.02, 0.5, 1.0, 2.0, 3.0])
+    added = Lost(begin.C_wb, begin.pos_w, P).added(x, np.zeros((N, N)))
+    np.testing.assert_allclose(added, seen @ P @ seen.T, atol=1e-5)  # of some 100 m^2

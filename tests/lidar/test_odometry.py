@@ -81,6 +81,48 @@ def test_in_a_gap_of_the_samples_the_turns_are_found_by_the_points(room, score, 
     assert scored["nees_rotation"]["mean"] < 3.0
 
 
+def without(recording, gaps):
+    """Return a recording without samples and points at some times, s since its begin."""
+    inertial, kept = recording.inertial, np.ones(len(recording.inertial.stamp), bool)
+    origin = inertial.stamp[0]
+    scans = []
+    for begin, end in gaps:
+        kept &= (inertial.stamp - origin < begin) | (inertial.stamp - origin > end)
+    for scan in recording.scans:
+        t = scan.stamp + scan.times - origin
+        seen = np.all([(t < begin) | (t > end) for begin, end in gaps], axis=0)
+        if seen.any():
+            scans.append(Scan(scan.stamp, scan.points[seen], scan.times[seen]))
+    cut = InertialSamples(inertial.stamp[kept], inertial.gyro[kept], inertial.accel[kept])
+    return replace(recording, inertial=cut, scans=scans)
+
+
+@pytest.mark.parametrize("gaps", [[(4.4, 5.0)], [(0.9, 2.4)], [(3.9, 4.5), (5.1, 5.7)]])
+def test_after_a_gap_of_samples_and_points_the_place_in_the_map_is_found_again(room, score, gaps):
+    """An update alone finds the nearest of many poses: some ended 70 m off."""
+    found = solve(without(room[1], gaps), Settings())
+    assert [one.is_found for one in found.unknown] == [True] * len(gaps)
+    scored = score.score(str(room[0]), found.poses, found.covariances())
+    assert scored["ate_start_m"] < 0.05
+    assert scored["nees_position"]["mean"] < 3.0
+    assert scored["nees_rotation"]["mean"] < 3.0
+    assert found.verdict().startswith("good: ")
+    assert any("found again" in line for line in found.remarks())
+
+
+def test_what_is_not_found_again_is_off_by_no_more_than_its_sigma(room, score):
+    """Turned by half a turn most of the room looks the same, and two seconds leave that open."""
+    found = solve(without(room[1], [(5.4, 7.4)]), Settings())
+    assert [one.is_found for one in found.unknown] == [False]
+    assert found.verdict().startswith("poor: ")
+    assert any("not found again" in line for line in found.remarks())
+    scored = score.score(str(room[0]), found.poses, found.covariances())
+    assert scored["nees_position"]["mean"] < 3.0
+    assert scored["nees_rotation"]["mean"] < 3.0
+    apart = score.score_relative(str(room[0]), found.relatives())
+    assert apart["nees_pose"]["mean"] < 4.0
+
+
 def test_a_gyro_at_the_end_of_its_range_costs_no_honesty(room, score):
     inertial = room[1].inertial
     limit = np.radians(60.0)
