@@ -28,6 +28,7 @@ POINT_CELL, MOST_POINTS = 0.4, 2000
 NEAR = 30.0
 """Range of the points that are compared, m: farther ones are few, and need finer headings."""
 LEAST_POINTS = 50
+"""Of a second, of which a scan of 32 lines has thousands: eight for each direction of a pose."""
 MOST_CELLS = 1 << 19
 """Of a correlation, which takes 50 ms then: the map is taken as far as that."""
 LARGEST_TURN = 0.15
