@@ -10,7 +10,7 @@ SOURCE = """
 from cython.cimports.ekf_companion.core.memory.scratch import Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.memory.overlay import as_states
-from ekf_companion.mavlink.decode.air import LOWEST
+from ekf_companion.mavlink.decode.air import WEAKEST
 from ekf_companion.mavlink.decode.inertial import Inertial
 from ekf_companion.nav.arrays import Bytes, Column, Const, Table
 _FAR, _NEAR = 1e300, range(3)
@@ -47,7 +47,7 @@ from ekf_companion.core.memory.scratch cimport Scratch
 from ekf_companion.core.memory.state cimport State
 from ekf_companion.mavlink.decode.state cimport InertialState
 cdef double _FAR
-cdef double LOWEST
+cdef double WEAKEST
 cdef class Base:
     cdef public tuple last
     cdef public InertialState imu
