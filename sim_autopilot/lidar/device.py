@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import struct
 import threading
@@ -10,8 +11,6 @@ import time
 from binascii import crc_hqx
 from collections.abc import Callable, Iterator
 from zlib import crc32
-
-import numpy as np
 
 from sim_autopilot.lidar.livox import IMU_PORT, POINT_PORT, LivoxFaults, datagrams
 from sim_autopilot.lidar.record import Simulated
@@ -41,7 +40,7 @@ class Device:
         faults: LivoxFaults | None = None,
         port: int = 0,
         is_held: bool = False,
-        limit: Callable[[], float] = lambda: np.inf,
+        limit: Callable[[], float] = lambda: math.inf,
     ) -> None:
         """Make ready.
 

@@ -175,7 +175,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> in
             b.U[c][e][i] = 0.0
         for r in range(3):
             b.T[c][r][i] = 0.0
-    shape.begin(x, b, i)
+    shape.begin(x, k, b, i)
     return i
 
 

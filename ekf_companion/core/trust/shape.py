@@ -79,6 +79,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SOURCE_VELOCITY,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm
+from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search
@@ -87,8 +88,6 @@ from cython.cimports.libc.math import exp, sqrt
 SETTLING_VAR = cython.declare(cython.double, 0.4)
 """Variance of the logarithm of that: 1.9 times faster or slower, half of what the times of
 ``onsets.begin_settling`` are apart."""
-SLOWEST = cython.declare(cython.double, 1.0)
-"""Least speed by which a way is found that we may have been led away along, m/s: a walk."""
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
@@ -189,7 +188,7 @@ def aid_of(kind: int) -> int:
     return AID_HEIGHT if first == 2 else AID_BARO
 
 
-def begin(x: State, b: Bank, i: int) -> None:
+def begin(x: State, k: Parameters, b: Bank, i: int) -> None:
     """Write what a fault of the state adds to it at once: U."""
     h = address(b.instance[i])
     kind = h.kind
@@ -203,8 +202,9 @@ def begin(x: State, b: Bank, i: int) -> None:
         for c in range(3):
             b.U[c][E_VEL + c][i] = 1.0
     elif kind == FAULT_LED or kind == FAULT_LED_ON:
-        speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1]
-        speed = sqrt(speed2 + SLOWEST * SLOWEST)
+        # what seems to be at rest may be as wrong as another velocity
+        off = k.fault[FAULT_VELOCITY_STEP].std
+        speed = sqrt(x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + off * off)
         for c in range(2):
             b.U[c][E_POS + c][i] = x.fix_dt * speed
             if kind == FAULT_LED_ON:
