@@ -9,7 +9,6 @@ the rest. ``--cost`` prints what a minute of the recorded flights costs, by form
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import resource
 import shutil
@@ -32,7 +31,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import CompanionError
 from ekf_companion.fleet import campaign
-from ekf_companion.fleet.dask_executor import Dask
+from ekf_companion.fleet.dask_executor import Dask, local_cluster
 from ekf_companion.fleet.executor import Executor, Processes
 from ekf_companion.fleet.folder import find_logs
 from ekf_companion.fleet.listing import Listing
@@ -124,17 +123,16 @@ def engines(count: int) -> None:
         root = Path(name)
         (root / "logs").mkdir()
         make_logs(root / "logs", count)
-        options = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
         seconds: dict[str, float] = {}
         for number in range(ROUNDS):
             place = root / f"processes{number or ''}"
             spent = fill(root / "logs", place, Processes(WORKERS))
             seconds["processes"] = min(spent, seconds.get("processes", spent))
-            with LocalCluster(n_workers=WORKERS, threads_per_worker=1, **options) as cluster:
+            with local_cluster(WORKERS) as cluster:
                 dask = Dask(cluster.scheduler_address, WORKERS)
                 spent = fill(root / "logs", root / f"dask{number or ''}", dask)
                 seconds["dask"] = min(spent, seconds.get("dask", spent))
-        with LocalCluster(n_workers=WORKERS, threads_per_worker=1, **options) as cluster:
+        with local_cluster(WORKERS) as cluster:
             dask = Dask(cluster.scheduler_address, WORKERS)
             with killing(cluster) as killed:
                 seconds["killed"] = fill(root / "logs", root / "killed", dask)

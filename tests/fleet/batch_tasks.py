@@ -1,9 +1,12 @@
 """What processes are asked to do with a log; in a file that they import soon."""
 
 import os
+import resource
 import signal
 import tempfile
 from pathlib import Path
+
+import numpy as np
 
 from ekf_companion.fleet import build
 from ekf_companion.logs import source
@@ -55,3 +58,13 @@ def die_once(number: int, folder: Path) -> int:
 def pretend(version: str | None) -> None:
     """Call this process's build by another name; None: by its own again."""
     build.build_name = _BUILD_NAME if version is None else lambda: version
+
+
+def faults_and_pages(size):
+    """Take, write and free so many bytes a hundred times; return the faults, and pages written."""
+    np.ones(size // 8)
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+    for _ in range(100):
+        np.ones(size // 8)
+    faults = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before
+    return faults, 100 * size // resource.getpagesize()

@@ -13,7 +13,7 @@ import pytest
 from distributed import Client, LocalCluster
 
 from ekf_companion.errors import ConfigError, UnreachableError
-from ekf_companion.fleet.dask_executor import Dask
+from ekf_companion.fleet.dask_executor import Dask, local_cluster
 from ekf_companion.fleet.executor import KILLED, Lost, Processes
 from tests.fleet import batch_tasks
 
@@ -22,13 +22,19 @@ QUIET = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
 
 @pytest.fixture(scope="module")
 def cluster():
-    with LocalCluster(n_workers=2, threads_per_worker=1, **QUIET) as cluster:
+    with local_cluster(2) as cluster:
         yield cluster
 
 
 def test_every_item_has_its_result(cluster):
     found = dict(Dask(cluster.scheduler_address, 1).run(batch_tasks.double, range(100)))
     assert found == {number: 2 * number for number in range(100)}
+
+
+def test_workers_keep_the_memory_that_the_next_log_takes(cluster):
+    with Client(cluster) as client:
+        (faults, pages), *_ = client.run(batch_tasks.faults_and_pages, 800_000).values()
+    assert faults < 0.1 * pages
 
 
 def test_a_worker_that_is_killed_costs_its_items_again(cluster, tmp_path):
