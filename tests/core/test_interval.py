@@ -178,10 +178,10 @@ def test_a_part_of_an_interval_has_the_mean_of_that_part():
     np.testing.assert_allclose([*w.motion.rate, *w.motion.force], expected)
 
 
-def test_the_covariance_follows_every_10_ms_and_at_each_sample_that_is_clipped():
+def test_the_covariance_follows_every_10_ms_and_at_each_sample_that_does_not_measure():
     def carried(clipped: float) -> list[bool]:
         x, k, w = begun(), parameters(), Scratch()
-        k.accel_noise, x.is_clipped[0] = 0.1, clipped
+        k.accel_noise, x.unmeasured[0] = 0.1, clipped
         found = []
         for _ in range(4):
             before = copy(x)

@@ -699,8 +699,16 @@ class Evidence:
     """Integral of the velocity's innovations since it is refused, n e d, m."""
     largest_reading: Annotated[Vector, 6]
     """Largest rate and specific force that each axis has shown."""
-    is_clipped: Annotated[Vector, 6]
-    """The axis is at the end of its range: rate, specific force."""
+    unmeasured: Annotated[Vector, 6]
+    """Variance by the second of axes that do not measure: rate, rad^2/s, force, m^2/s^3."""
+    equal: Annotated[Vector, 6]
+    """Pairs of readings of an axis that were equal to the bit, before the last run of such."""
+    unequal: Annotated[Vector, 6]
+    """Those that were not."""
+    equal_run: Annotated[Vector, 6]
+    """Equal ones in a row until now."""
+    equal_beside: Annotated[Vector, 6]
+    """Of the other axes in this run, all together."""
     split: Annotated[Vector, 3]
     """What the receiver's position lately moved beside the integral of its velocity, n e d, m."""
     split_pos: Annotated[Vector, 3]

@@ -26,7 +26,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import ImuRow, Motion, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.start import align, yaw_frame
-from cython.cimports.ekf_companion.core.trust import doubt
+from cython.cimports.ekf_companion.core.trust import silence
 from cython.cimports.ekf_companion.core.trust.process_noise import scale_noise
 from cython.cimports.libc.math import isfinite, sqrt, tanh
 
@@ -58,7 +58,8 @@ def carry_on(x: State, k: Parameters, w: Scratch) -> None:
 def advance(x: State, k: Parameters, w: Scratch, t: float, begin: float, span: float) -> None:
     """Advance the state to a time within the interval of length span (s) that began at begin.
 
-    P follows where that is worth it; a tape wants it at each sample, and so does a clipped one.
+    P follows where that is worth it; a tape wants it at each sample, and so does an axis that does
+    not measure.
     """
     m = address(w.motion)
     dt = (t - x.t) * 1e-9
@@ -72,7 +73,7 @@ def advance(x: State, k: Parameters, w: Scratch, t: float, begin: float, span: f
             align.integrate(x, m, dt)
         else:
             integrate_strapdown(x, k, m, dt)
-            if x.pending.dt >= COVARIANCE_INTERVAL or w.tape.is_on or doubt.is_clipping(x):
+            if x.pending.dt >= COVARIANCE_INTERVAL or w.tape.is_on or not silence.is_measured(x):
                 carry_on(x, k, w)
             if x.needs_reset != 0.0:
                 align.integrate(x, m, dt)

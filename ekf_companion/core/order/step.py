@@ -49,7 +49,7 @@ from cython.cimports.ekf_companion.core.order.interval import (
 from cython.cimports.ekf_companion.core.order.restart import forget_sensors, start, start_over
 from cython.cimports.ekf_companion.core.order.zero_velocity import check_rest
 from cython.cimports.ekf_companion.core.start import yaw_bank, yaw_frame
-from cython.cimports.ekf_companion.core.trust import doubt, gate
+from cython.cimports.ekf_companion.core.trust import gate, silence
 from cython.cimports.ekf_companion.core.trust.noise import learn_noise
 
 WITHOUT = cython.declare(cython.double, 1.0)
@@ -103,7 +103,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
 
     # Learn from the sample itself: noise, rest, which aids are silent
     learn_noise(x, imu, span)
-    doubt.find_clipping(x, imu)
+    silence.find_unmeasured(x, imu)
     keep_sample(x, imu)
     check_rest(x, k, w)
     if delay.is_due(x):

@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.filter.past import acceleration_noise
-from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
-from cython.cimports.ekf_companion.core.memory.scratch import Fix, ImuRow, Motion, Observation
+from cython.cimports.ekf_companion.core.memory.scratch import Fix, Motion, Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import slide
 from cython.cimports.libc.math import exp, fabs, sqrt
@@ -104,16 +104,6 @@ SIMILAR = cython.declare(cython.double, 4.0)
 """Square of a motion, of the largest flown, up to which that shows how good the samples are."""
 SHOWING = cython.declare(cython.double, 10.0)
 """Time constant with which a motion shows it, s."""
-CLIPPED_RATE_VAR = cython.declare(cython.double, 0.05)
-"""Variance that a gyro at the end of its range adds about its axis, rad^2/s."""
-CLIPPED_FORCE_VAR = cython.declare(cython.double, 2.0)
-"""Likewise of an accelerometer, m^2/s^3."""
-LEAST_RANGE = cython.declare(cython.double, 0.5)
-"""rad/s; no gyro has a smaller range."""
-LEAST_FORCE_RANGE = cython.declare(cython.double, 11.5)
-"""m/s^2."""
-SAME = cython.declare(cython.double, 1e-4)
-"""Relative difference of two readings at the end of a range."""
 
 
 def restart(x: State) -> None:
@@ -177,10 +167,10 @@ def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     for j in range(3):
         q = MARGIN * x.noise[j]
         q = (q if q > LEAST_NOISE else LEAST_NOISE) + rate_var
-        m.q[j] = x.doubt * m.q[j] + (q + CLIPPED_RATE_VAR * x.is_clipped[j]) * dt
+        m.q[j] = x.doubt * m.q[j] + (q + x.unmeasured[j]) * dt
         q = MARGIN * x.noise[j + 3]
         q = (q if q > LEAST_FORCE_NOISE else LEAST_FORCE_NOISE) + force_var
-        m.q[j + 3] = x.doubt * m.q[j + 3] + (q + CLIPPED_FORCE_VAR * x.is_clipped[j + 3]) * dt
+        m.q[j + 3] = x.doubt * m.q[j + 3] + (q + x.unmeasured[j + 3]) * dt
 
 
 def scale_var(x: State, sensor: int, square: float, usual: float, dt: float) -> float:
@@ -196,43 +186,6 @@ def scale_var(x: State, sensor: int, square: float, usual: float, dt: float) -> 
     hidden = HIDDEN_SCALE_VAR * (1.0 - (known if known > usual else usual) / square)
     x.shown[sensor] += dt / (dt + SHOWING) * (square - x.shown[sensor])
     return variance if variance > hidden else hidden
-
-
-def find_clipping(x: State, imu: ImuRow) -> None:
-    """Find the axes that repeat the largest reading they ever gave: they are at their range's end.
-
-    To be called before the sample is kept.
-    """
-    for j in range(3):
-        size = fabs(imu.gyro[j])
-        x.is_clipped[j] = 0.0
-        if size > LEAST_RANGE:
-            x.is_clipped[j] = is_at_end(x, j, size, imu.gyro[j] - x.gyro[j])
-        size = fabs(imu.accel[j])
-        x.is_clipped[j + 3] = 0.0
-        if size > LEAST_FORCE_RANGE:
-            x.is_clipped[j + 3] = is_at_end(x, j + 3, size, imu.accel[j] - x.accel[j])
-        if x.is_clipped[j] != 0.0 or x.is_clipped[j + 3] != 0.0:
-            x.force_sum[j] = NAN
-
-
-def is_clipping(x: State) -> bool:
-    """Return whether the last sample was at the end of a range."""
-    for j in range(6):
-        if x.is_clipped[j] != 0.0:
-            return True
-    return False
-
-
-def is_at_end(x: State, axis: int, size: float, change: float) -> float:
-    """Return 1 if a large reading repeats the largest one of its axis; keep the largest."""
-    is_same = cython.declare(
-        cython.bint,
-        size >= x.largest_reading[axis] * (1.0 - SAME) and fabs(change) <= SAME * size,
-    )
-    if size > x.largest_reading[axis]:
-        x.largest_reading[axis] = size
-    return 1.0 if is_same else 0.0
 
 
 def learn_doubt(
