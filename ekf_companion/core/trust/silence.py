@@ -49,13 +49,13 @@ def find_unmeasured(x: State, imu: ImuRow) -> None:
             rate2 += rate * rate
             accel2 += x.accel_n[j] * x.accel_n[j]
     for j in range(3):
+        a = j + 3
         x.unmeasured[j] = MOTION * rate2 if is_stuck(x, j, equal) else 0.0
         if is_at_end(x, j, imu.gyro[j], LEAST_RANGE, imu.gyro[j] - x.gyro[j]):
-            x.unmeasured[j] += CLIPPED_RATE_VAR
-        a = j + 3
+            x.unmeasured[j] = CLIPPED_RATE_VAR
         x.unmeasured[a] = MOTION * accel2 if is_stuck(x, a, equal) else 0.0
         if is_at_end(x, a, imu.accel[j], LEAST_FORCE_RANGE, imu.accel[j] - x.accel[j]):
-            x.unmeasured[a] += CLIPPED_FORCE_VAR
+            x.unmeasured[a] = CLIPPED_FORCE_VAR
         if x.unmeasured[j] != 0.0 or x.unmeasured[a] != 0.0:
             x.force_sum[j] = NAN
 
