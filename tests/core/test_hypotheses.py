@@ -278,6 +278,33 @@ def test_a_slide_goes_on_through_a_gap(seed):
     assert np.all(off < np.maximum(5.0 * wrong[23:26], 2.0))
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("begin", [0.0, BEGIN], ids=["always", "later"])
+@pytest.mark.parametrize("name", ["figure-eight", "hover"])
+def test_no_receiver_is_blamed_for_a_vibration(name, begin, seed):
+    """One that is sampled as a slow wave, of which the samples themselves show nothing."""
+    events, _ = flight(name, END + 20.0, seed=seed)
+    rng = np.random.default_rng(seed)
+    shaken = (events.kind == Kind.IMU) & between(events, begin, END + 20.0)
+    t = (events.t_ns[shaken, None] - events.t_ns[0]) * 1e-9
+    wave = np.sin(2.0 * np.pi * (0.4 * t + 0.1 * np.sin(t / 7.0)) + rng.uniform(0.0, 6.0, 6))
+    values = events.values.copy()
+    values[shaken, :6] += [0.02, 0.02, 0.02, 3.0, 3.0, 3.0] * wave
+    one = pipeline("act")
+    table = one.run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    receiver = {Source.POSITION, Source.DRAG, Source.VELOCITY, Source.HEIGHT, Source.FALL}
+    assert not receiver & {FAULTS[fault.kind].source for fault in one.found_faults()}
+    is_ok = table.column("status") == Status.OK
+    right = pipeline("act").run(events).values
+    # a window of a second shows it, and it may begin in the middle of one
+    since = (table.stamp_ns - events.t_ns[0]) * 1e-9 - begin
+    is_known = (since < 0.0) | (since > 2.0)
+    for first, floor in ((3, 2.0), (6, 0.5)):  # position, velocity
+        off = np.linalg.norm((table.values - right)[:, first : first + 3], axis=1)
+        sigma = np.linalg.norm(table.values[:, first + 20 : first + 23], axis=1)
+        assert not (is_known & is_ok & (off > 5.0 * sigma) & (off > floor)).any()
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_receiver_is_blamed_for_where_an_aid_has_led_us_without_it(seed):
     events, truth = flight("figure-eight", 100.0, seed=seed)

@@ -38,6 +38,8 @@ class Instance:
     own and of those that went into it."""
     evidence: Real
     """Log-likelihood of what came since, beside that of no fault."""
+    earlier: Real
+    """The same at the begin of the window of the inertial noise."""
     p: Real
     """Its posterior probability."""
     is_wide: Real

@@ -208,13 +208,17 @@ class Fault(IntEnum):
     SETTLE = 41
     """The position settles after the first fix, from which ours began."""
     SETTLE_HEIGHT = 42
-    ACCEL_NOISE = 43
-    """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 44
-    LED = 45
+    LED = 43
     """Our position was led away while no receiver could contradict that."""
-    LED_ON = 46
+    LED_ON = 44
     """It was, and our velocity still is."""
+    ACCEL_LOUD = 45
+    """What an accelerometer whose noise has leapt has done to the velocity."""
+    GYRO_LOUD = 46
+    """What such a gyro has done to the attitude."""
+    ACCEL_NOISE = 47
+    """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
+    GYRO_NOISE = 48
 
 
 class Source(IntEnum):

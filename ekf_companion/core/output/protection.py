@@ -25,11 +25,11 @@ from cython.cimports.ekf_companion.core.memory.bank import INSTANCES, Bank
 from cython.cimports.ekf_companion.core.memory.constants import NAN
 from cython.cimports.ekf_companion.core.memory.enums import (
     E_POS,
+    FAULT_ACCEL_NOISE,
     MODE_NAVIGATE,
     SHOWS_ALL,
     SHOWS_LEVEL,
     SHOWS_VERTICAL,
-    SOURCE_NOISE,
     WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
@@ -79,7 +79,7 @@ def fill(x: State, k: Parameters, b: Bank, q: Protection) -> None:
     for i in range(b.n):
         h = address(b.instance[i])
         shows = k.fault[h.kind].shows
-        if k.fault[h.kind].source == SOURCE_NOISE or not h.p > 0.0:
+        if h.kind >= FAULT_ACCEL_NOISE or not h.p > 0.0:
             continue
         if shows != SHOWS_VERTICAL:
             q.nothing -= h.p

@@ -92,6 +92,10 @@ FAULTS = {
     Fault.HEIGHT_WILD: Prior(Source.HEIGHT, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
     Fault.FALL_WILD: Prior(Source.FALL, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
     Fault.BARO_WILD: Prior(Source.BARO, 1, 1.0, 1.0, 0.1, RAMP, VERTICAL),
+    # a vibration that begins: velocity, m/s, and attitude, rad, walk by so much in a second, as by
+    # the larger steps of these sensors; as rare as a receiver that is wrong in no shape
+    Fault.ACCEL_LOUD: Prior(Source.NOISE, 3, 2.0, 2.0, 0.1, RAMP, ALL),
+    Fault.GYRO_LOUD: Prior(Source.NOISE, 3, 0.2, 0.2, 0.1, RAMP, ALL),
     # no fault: its share of the noise follows from what a second of it does
     Fault.ACCEL_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),
     Fault.GYRO_NOISE: Prior(Source.NOISE, 3, 1.0, 1.0, 0.0, RAMP, ALL),

@@ -28,6 +28,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_MAGNETIC,
     E_POS,
     E_VEL,
+    FAULT_ACCEL_NOISE,
     FAULT_GYRO_NOISE,
     FAULT_RECOVERY,
     MODE_NAVIGATE,
@@ -36,7 +37,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SHOWS_VERTICAL,
     SOURCE_DRAG,
     SOURCE_FALL,
-    SOURCE_NOISE,
     SOURCES,
     N,
 )
@@ -290,7 +290,7 @@ def weigh_reading(
             shown += to.T[r][c] * to.T[r][c] if is_own else 0.0
     if shown == 0.0:
         return
-    if k.fault[h.kind].source == SOURCE_NOISE:
+    if h.kind >= FAULT_ACCEL_NOISE:
         if aid != AID_HEADING:
             score.add_to_window(b, 3 if h.kind == FAULT_GYRO_NOISE else 0, o)
         return
@@ -370,7 +370,7 @@ def take_over(k: Parameters, b: Bank, shows: int, beyond: float) -> None:
     """Let nothing be as much more probable than any fault of such rows."""
     for i in range(b.n):
         of = address(k.fault[b.instance[i].kind])
-        if of.source != SOURCE_NOISE and (of.shows == shows or of.shows == SHOWS_ALL):
+        if b.instance[i].kind < FAULT_ACCEL_NOISE and (of.shows == shows or of.shows == SHOWS_ALL):
             b.instance[i].evidence -= beyond
 
 

@@ -24,6 +24,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AIDS,
     AZIMUTH_MAGNETIC,
     E_ATT,
+    FAULT_ACCEL_LOUD,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
     FAULT_BARO_STEP,
@@ -34,6 +35,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_FALL_RAMP,
     FAULT_FALL_WILD,
     FAULT_FIELD,
+    FAULT_GYRO_LOUD,
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
     FAULT_KICK,
@@ -49,7 +51,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import delay_search, score, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, loud, score, shape
 from cython.cimports.libc.math import exp, log
 
 KEPT = cython.declare(cython.int, 3)
@@ -99,8 +101,11 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         begin_kinds(x, k, b, aid, first, last)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
         b.fix_t = x.fix_t
+        loud.walk(k, b, x.fix_dt)
         if not x.t - b.window_t < OFTEN:
             score.end_window(x, k, b)
+            begin_loud(x, k, b, FAULT_ACCEL_LOUD)
+            begin_loud(x, k, b, FAULT_GYRO_LOUD)
             begin_instance(x, k, b, FAULT_ACCEL_NOISE, 0.0)
             begin_instance(x, k, b, FAULT_GYRO_NOISE, 0.0)
         if b.has_begun == 0.0:
@@ -117,6 +122,19 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         if delay_search.best(b) != 0.0 and x.t - b.begun_t[AID_VELOCITY] < OFTEN:
             begin_instance(x, k, b, FAULT_DELAY, x.fix_dt)
         begin_kinds(x, k, b, AID_VELOCITY, FAULT_DELAY, FAULT_FALL_WILD)
+
+
+def begin_loud(x: State, k: Parameters, b: Bank, kind: int) -> None:
+    """Begin a window of a noise that may have leapt in this one, or in one before.
+
+    Its onset is where that explains most (Page 1954).
+    """
+    evidence = 0.0
+    for i in range(b.n):
+        if b.instance[i].kind == kind and b.instance[i].evidence > 0.0:
+            evidence = b.instance[i].evidence
+            loud.write_until_now(b, i)
+    loud.go_on(b, address(b.instance[begin_instance(x, k, b, kind, 0.0)]), evidence)
 
 
 def was_led(x: State) -> bool:
@@ -161,6 +179,7 @@ def begin_instance(x: State, k: Parameters, b: Bank, kind: int, dt: float) -> in
     span = (k.fault[kind].every if k.fault[kind].every > 0.0 else dt) / 3600.0
     h.log_prior = log(k.fault[kind].rate * span + LEAST)
     h.evidence = 0.0
+    h.earlier = 0.0
     h.p = 0.0
     h.is_wide = 0.0
     h.recent = 0.0

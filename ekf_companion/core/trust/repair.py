@@ -29,6 +29,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_GNSS_VEL,
     E_HEADING,
     E_IRON,
+    FAULT_ACCEL_NOISE,
     FAULT_BARO_RAMP,
     FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
@@ -52,13 +53,16 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_VELOCITY_STEP,
     FAULT_VELOCITY_TURN,
     SHOWS_ALL,
+    SOURCE_ACCEL,
     SOURCE_DRAG,
     SOURCE_FALL,
+    SOURCE_GYRO,
     SOURCE_HEIGHT,
     SOURCE_NOISE,
     SOURCE_POSITION,
     SOURCE_SETTLING,
     SOURCE_SETTLING_HEIGHT,
+    SOURCE_STATE,
     SOURCE_VELOCITY,
     SOURCES,
     WEIGH_ACT,
@@ -115,17 +119,22 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             b.since[source] = NEVER
         elif b.since[source] <= NEVER or x.t < b.hold_t:
             b.since[source] = x.t
-        elif h.recent > THREE_SIGMA2 or not is_of_its_size(k, h):
+        elif h.recent > THREE_SIGMA2 or not (is_of_its_size(k, h) or is_own(k, source)):
             b.since[source] = x.t
         elif x.t - b.since[source] >= (patience if h.recent < UNEXPLAINED else 2.0 * patience):
-            tell(x, b, h)
-            if k.weighs_faults == WEIGH_ACT:
-                b.since[source] = NEVER
-                if shape.is_wild(h.kind):
-                    take_back(x, k, o, best, p)
-                else:
-                    repair(x, k, o, best, p)
+            if k.weighs_faults != WEIGH_ACT:
+                tell(x, b, h)
+                continue
+            b.since[source] = NEVER
+            if not is_of_its_size(k, h):
+                give_up(x, k, o, best)
                 return
+            tell(x, b, h)
+            if shape.is_wild(h.kind):
+                take_back(x, k, o, best, p)
+            else:
+                repair(x, k, o, best, p)
+            return
 
 
 def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
@@ -152,6 +161,23 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     h.log_prior = log(p / (1.0 - p))
     h.is_wide = 1.0
     h.p = p
+
+
+def is_own(k: Parameters, source: int) -> cython.bint:
+    """Return whether our own state is off by a source, so that nothing is left to go on by."""
+    is_ours = cython.declare(
+        cython.bint, source == SOURCE_ACCEL or source == SOURCE_GYRO or source == SOURCE_STATE
+    )
+    return k.weighs_faults == WEIGH_ACT and is_ours
+
+
+def give_up(x: State, k: Parameters, o: Observation, i: int) -> None:
+    """Let our own state be as uncertain as it is off by what is of no kind, and weigh anew."""
+    b = address(o.bank[0])
+    columns.follow(x, b)
+    find_effect(x, b, i, 0.0, o.dx)
+    add_columns(x, b, i, o.dx, 1.0)
+    drop_others(k, b, k.fault[b.instance[i].kind].shows, -1)
 
 
 def is_of_its_size(k: Parameters, h: Instance) -> bool:
@@ -248,7 +274,7 @@ def drop_others(k: Parameters, b: Bank, shows: int, kept: int) -> None:
         is_apart = cython.declare(
             cython.bint, shows != SHOWS_ALL and other != SHOWS_ALL and other != shows
         )
-        is_noise = cython.declare(cython.bint, k.fault[b.instance[j].kind].source == SOURCE_NOISE)
+        is_noise = cython.declare(cython.bint, b.instance[j].kind >= FAULT_ACCEL_NOISE)
         if j != b.kept and not is_apart and not is_noise:
             drop(b, j)
         j -= 1

@@ -11,12 +11,16 @@ Source: the score of a variance, e.g. Harville 1977; INS/GNSS windows: Mehra 197
 from __future__ import annotations
 
 import cython
+from cython import address
 from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import EVEN, NEVER, THREE_SIGMA2
-from cython.cimports.ekf_companion.core.memory.enums import WEIGH_ACT
+from cython.cimports.ekf_companion.core.memory.enums import (
+    WEIGH_ACT,
+)
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.trust import loud
 from cython.cimports.libc.math import exp, log
 
 LONGEST_WINDOW = cython.declare(cython.double, 2.0)
@@ -69,7 +73,18 @@ def end_window(x: State, k: Parameters, b: Bank) -> None:
     elif b.window_t > NEVER and span < LONGEST_WINDOW:
         b.log_share += find_step(x, k, b, span)
         x.doubt = exp(b.log_share)
-    if b.window_t > NEVER and b.log_share - before >= 0.5 * LARGEST_STEP:
+        loud.take_in(x, k, b)
+    has_leapt = cython.declare(
+        cython.bint, b.window_t > NEVER and b.log_share - before >= 0.5 * LARGEST_STEP
+    )
+    for i in range(b.n):
+        h = address(b.instance[i])
+        if has_leapt:
+            h.evidence = h.earlier
+        h.earlier = h.evidence
+    if has_leapt:
+        if x.t <= b.proven_t:  # nor is the start proven by fixes that the noise has misled
+            b.proven_t = x.t + HELD
         b.hold_t = x.t + HELD
         if k.weighs_faults == WEIGH_ACT and x.proven_t < b.hold_t:
             x.proven_t = b.hold_t

@@ -26,6 +26,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_IRON,
     E_POS,
     E_VEL,
+    FAULT_ACCEL_LOUD,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
     FAULT_BARO_RAMP,
@@ -44,6 +45,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_FALL_RAMP,
     FAULT_FALL_WILD,
     FAULT_FIELD,
+    FAULT_GYRO_LOUD,
     FAULT_GYRO_NOISE,
     FAULT_GYRO_STEP,
     FAULT_HALT,
@@ -198,7 +200,10 @@ def begin(x: State, k: Parameters, b: Bank, i: int) -> None:
     elif kind == FAULT_GYRO_STEP or kind == FAULT_GYRO_NOISE:
         for c in range(3):
             b.U[c][E_BG + c][i] = 1.0
-    elif kind == FAULT_KICK:
+    elif kind == FAULT_GYRO_LOUD:
+        for c in range(3):
+            b.U[c][E_ATT + c][i] = 1.0
+    elif kind == FAULT_KICK or kind == FAULT_ACCEL_LOUD:
         for c in range(3):
             b.U[c][E_VEL + c][i] = 1.0
     elif kind == FAULT_LED or kind == FAULT_LED_ON:
