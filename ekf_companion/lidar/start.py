@@ -289,21 +289,18 @@ def _held(A: Array, b: Array, noise: Array, prior: Array) -> tuple[Array, Array]
     return np.asarray(part @ L.T), np.asarray(part @ white @ b)
 
 
+def by_motion(x: State, settings: Settings) -> Array:
+    """Return the derivative of the error state by velocity, gravity and gyro bias, (27, 9)."""
+    J = np.zeros((N, 9))
+    J[VEL, :3] = J[GYRO_BIAS, 6:] = np.eye(3)
+    J[DOWN, 3:6] = np.linalg.pinv(settings.gravity * direction_by_angles(x.down_w))
+    return J
+
+
 def covariance_of(x: State, found: Array, settings: Settings) -> Array:
     """Return the covariance of a state of which velocity, gravity and gyro bias were found."""
-    P = np.zeros((N, N))
-    P[VEL, VEL] = found[:3, :3]
-    P[GYRO_BIAS, GYRO_BIAS] = found[6:, 6:]
-    P[VEL, GYRO_BIAS] = found[:3, 6:]
-    P[GYRO_BIAS, VEL] = found[6:, :3]
-    P[ACCEL_BIAS, ACCEL_BIAS] = settings.accel_bias**2 * np.eye(3)
+    J = by_motion(x, settings)
     # The bias of the accelerometer looks like gravity
-    T = np.linalg.pinv(settings.gravity * direction_by_angles(x.down_w))
-    P[DOWN, ACCEL_BIAS] = T @ P[ACCEL_BIAS, ACCEL_BIAS]
-    P[ACCEL_BIAS, DOWN] = P[DOWN, ACCEL_BIAS].T
-    P[DOWN, DOWN] = T @ (P[ACCEL_BIAS, ACCEL_BIAS] + found[3:6, 3:6]) @ T.T
-    P[DOWN, VEL] = T @ found[3:6, :3]
-    P[VEL, DOWN] = P[DOWN, VEL].T
-    P[DOWN, GYRO_BIAS] = T @ found[3:6, 6:]
-    P[GYRO_BIAS, DOWN] = P[DOWN, GYRO_BIAS].T
-    return P
+    by_bias = np.zeros((N, 3))
+    by_bias[ACCEL_BIAS], by_bias[DOWN] = np.eye(3), J[DOWN, 3:6]
+    return np.asarray(J @ found @ J.T + settings.accel_bias**2 * by_bias @ by_bias.T)

@@ -20,7 +20,9 @@ from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import lines_of, solve
-from ekf_companion.lidar.state import DELAY, EXCESS, GYRO_BIAS, N, State, exp
+from ekf_companion.lidar.state import DELAY, EXCESS, GYRO_BIAS, MOUNT_ATT, VEL, N, State, exp
+from ekf_companion.nav import so3
+from ekf_companion.nav.direction import direction_by_angles
 from ekf_companion.replay.pose_aid import PoseFile
 from ekf_companion.review.convert import estimate
 from sim_autopilot.lidar.radar import RAYS, RadarErrors, simulate_radar
@@ -32,6 +34,15 @@ from tests.paths import DATA
 WALK = 26.0
 FRAME = 0.5 * RadarErrors().frame
 """When the speeds of a scan are true, s after its stamp."""
+
+
+MOVING = State(
+    C_wb=exp(np.array([0.3, -0.5, 1.0])),
+    vel_w=np.array([1.0, -2.0, 0.4]),
+    C_bl=exp(np.array([0.2, 0.4, -0.7])),
+    pos_b=np.array([0.3, -0.2, 0.5]),
+    gyro_bias=np.array([0.01, -0.02, 0.03]),
+)
 
 
 @lru_cache
@@ -181,13 +192,7 @@ def test_the_jacobian_of_the_velocity_is_its_difference():
     stamp = np.arange(0.0, 1.0, 0.002)
     gyro, accel = np.tile([0.4, -0.3, 0.8], (500, 1)), np.tile([0.5, 1.0, 9.6], (500, 1))
     samples = prepare(InertialSamples(stamp, gyro, accel))
-    x = State(
-        C_wb=exp(np.array([0.3, -0.5, 1.0])),
-        vel_w=np.array([1.0, -2.0, 0.4]),
-        C_bl=exp(np.array([0.2, 0.4, -0.7])),
-        pos_b=np.array([0.3, -0.2, 0.5]),
-        gyro_bias=np.array([0.01, -0.02, 0.03]),
-    )
+    x = MOVING
     middle, _, _, path = propagate(x, samples, 0.4, 0.5, Settings())
 
     def predicted(dx):
@@ -209,6 +214,77 @@ def test_the_jacobian_of_the_velocity_is_its_difference():
     np.testing.assert_allclose(H[:, DELAY], (ahead - back) / 2e-5, atol=0.01)
 
 
+def test_what_the_body_sees_stays_the_same_by_a_correction():
+    rng = np.random.default_rng(2)
+    before = replace(MOVING, down_w=exp(np.array([0.2, -0.1, 0.0])) @ np.array([0.0, 0.0, -1.0]))
+    x = before.plus(0.1 * rng.normal(size=N))
+
+    # Across its direction: the length of gravity is no part of the state
+    across = direction_by_angles(x.down_w).T @ x.C_wb
+
+    def seen(x):
+        """Return velocity and gravity in the body."""
+        return np.concatenate([x.C_wb.T @ x.vel_w, across @ x.C_wb.T @ x.down_w])
+
+    G = radar.same_in_body(before, x)
+    for e in np.eye(N):
+        slopes = [
+            (seen(there.plus(1e-6 * by)) - seen(there.plus(-1e-6 * by))) / 2e-6
+            for there, by in ((before, e), (x, G @ e))
+        ]
+        np.testing.assert_allclose(*slopes, atol=1e-7)
+
+
+def in_motion(recording, begin):
+    """Return what is left of a recording from a time after its first scan on, s."""
+    t = recording.inertial.stamp
+    begin += next(iter(recording.scans)).stamp
+    kept = t >= begin
+    parts = (getattr(recording.inertial, name)[kept] for name in ("stamp", "gyro", "accel"))
+    scans = [one for one in recording.scans if one.stamp >= begin]
+    return replace(recording, scans=scans, inertial=InertialSamples(*parts))
+
+
+def test_a_start_in_motion_shows_no_heading_that_nothing_shows(tmp_path):
+    """A car's heading is known by the gyro alone: its bias is what was known before."""
+    for seed in (502, 504):
+        flown = simulate_radar("street", seed, duration=30.0)
+        recording = in_motion(read(written(tmp_path / str(seed), flown)), 8.0)
+        solution = solve(recording, Settings())
+        last = solution.track.last
+        sigma = np.sqrt(last.P[GYRO_BIAS, GYRO_BIAS][2, 2])
+        assert 0.005 < sigma < 0.011
+        assert abs(last.state.gyro_bias[2] - flown.gyro_bias[-1, 2]) < 2.0 * sigma
+        assert np.linalg.norm(errors_of(flown, solution)[0][-1]) < 2.0 * solution.sigma
+
+
+def test_a_start_has_the_error_of_its_mounting():
+    flown = simulate_radar("street", 502, duration=10.0)
+    given = Mounting(exp(np.array([0.0, 0.13, 0.0])) @ flown.lidar.rotation, flown.lidar.position)
+    gyro, accel = flown.gyro.astype(float), flown.accel.astype(float)
+    samples = prepare(InertialSamples(flown.imu_stamp, gyro, accel))
+    found = [one for one in velocities(scans_of(flown), Settings()) if one.stamp > 7.0][:11]
+    x, P = radar.find_start(found, samples, given, Settings())
+    t = np.array([found[0].stamp + FRAME])
+    true = flown.motion.rotation(t)[0].T @ flown.motion.velocity(t)[0]
+    error = x.vel_w - true
+    assert np.linalg.norm(error) > 0.3
+    assert error @ np.linalg.solve(P[VEL, VEL], error) / 3.0 < 2.0
+    # That of the mounting is what it is by
+    blind = P[VEL, VEL] - P[VEL, MOUNT_ATT] @ np.linalg.solve(
+        P[MOUNT_ATT, MOUNT_ATT], P[MOUNT_ATT, VEL]
+    )
+    assert np.trace(blind) < 0.5 * np.trace(P[VEL, VEL])
+
+
+def test_costs_at_all_delays_are_of_the_same_scans(tmp_path):
+    """A bouncing car half a period late is one upside down; a bus fills the view of some scans."""
+    for seed in (501, 506):
+        flown = simulate_radar("street", seed, duration=40.0)
+        mounting = read(written(tmp_path / str(seed), flown)).mounting
+        np.testing.assert_allclose(mounting.rotation, flown.lidar.rotation)
+
+
 @pytest.mark.parametrize("world", ["room", pytest.param("forest", marks=pytest.mark.campaign)])
 def test_the_way_is_true_within_its_covariance(tmp_path, world):
     nees, ends = [], []
@@ -223,7 +299,32 @@ def test_the_way_is_true_within_its_covariance(tmp_path, world):
     assert 0.1 < np.mean(nees) < 1.5
 
 
-@pytest.mark.skipif(not (DATA / "radar-inertial-walk").is_dir(), reason="no recorded radar")
+RECORDED = pytest.mark.skipif(
+    not (DATA / "radar-inertial-walk").is_dir(), reason="no recorded radar"
+)
+
+
+@RECORDED
+def test_a_recorded_walk_that_begins_and_ends_in_motion_is_that_of_the_whole():
+    given = Mounting(
+        so3.to_matrix(so3.from_euler(*np.radians([-179.6, 9.1, -45.7]).tolist())),
+        np.array([0.03, 0.03, -0.06]),
+    )
+    recording = read(DATA / "radar-inertial-walk" / "demo.bag", mounting=given)
+    whole = solve(recording, Settings()).track
+    for begin in (14.5, 15.0, 17.0):
+        part = in_motion(recording, begin)
+        scans = [one for one in part.scans if one.stamp < whole.stamp[0] + 33.5]
+        solution = solve(replace(part, scans=scans), Settings())
+        track = solution.track
+        first, last = np.abs(whole.stamp[:, None] - track.stamp[[0, -1]]).argmin(axis=0)
+        away = whole.attitude[first].T @ (whole.pos_w[last] - whole.pos_w[first])
+        error, P = track.pos_w[-1] - away, track.covariance[-1, 3:6, 3:6]
+        assert np.linalg.norm(error) < 0.02 * solution.way
+        assert error @ np.linalg.solve(P, error) / 3.0 < 2.0
+
+
+@RECORDED
 @pytest.mark.parametrize(
     "mounting", [None, "0.03,0.03,-0.06,-179.6,9.1,-45.7"], ids=["found", "as published"]
 )

@@ -200,9 +200,11 @@ class _Pieces:
         cls, found: list[EgoVelocity], carried: _Carried, delay: float, lever: Array
     ) -> _Pieces | None:
         """Return the pieces between scans at a delay; None: too few."""
-        t = np.array([one.stamp for one in found]) + delay
+        t = np.array([one.stamp for one in found])
+        # The same scans at each delay: costs of others are not to be compared
+        first, last = carried.stamp[0] - LATENESS[0], carried.stamp[-1] - LATENESS[-1]
         ends = list[int]()
-        for k in np.flatnonzero((t > carried.stamp[0]) & (t < carried.stamp[-1])).tolist():
+        for k in np.flatnonzero((t > first) & (t < last)).tolist():
             # To half a scan
             if not ends or t[k] - t[ends[-1]] >= PIECE - 0.05:
                 ends.append(k)
@@ -211,7 +213,7 @@ class _Pieces:
         good = np.flatnonzero(span < 2.0 * PIECE)
         if len(good) < LEAST:
             return None
-        C, force, rate = carried.at(t[k])
+        C, force, rate = carried.at(t[k] + delay)
         vel = np.array([found[index].vel for index in ends])
         block = np.arange(len(span))[good] // PIECES
         change = _less_mean((np.diff(force, axis=0) / span[:, None])[good], block)
