@@ -204,4 +204,6 @@ def _passed(
             until = np.inf
         odometry.process(scan)
     x = odometry.x
-    return Calibration(x.C_bl, x.pos_b, x.delay, odometry.calibration) if odometry.map else None
+    return (
+        Calibration(x.C_bl, x.pos_b, x.delay, odometry.calibration) if odometry.map.voxels else None
+    )

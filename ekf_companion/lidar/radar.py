@@ -22,8 +22,9 @@ import numpy as np
 from ekf_companion.lidar import start
 from ekf_companion.lidar.doppler import LEAST, EgoVelocity, velocities
 from ekf_companion.lidar.motion import Path, Samples, prepare, propagate
-from ekf_companion.lidar.odometry import MARKED, Estimate, Marked, recentred
+from ekf_companion.lidar.odometry import Estimate, recentred
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording
+from ekf_companion.lidar.relative import MARKED, Marked
 from ekf_companion.lidar.rows import Match
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (

@@ -214,7 +214,7 @@ def solve(recording: Recording, settings: Settings) -> Solution:
         decisions=tuple(recording.decisions),
         track=track,
         C_level=C_level,
-        points=odometry.map.points() @ C_level.T,
+        points=odometry.map.voxels.points() @ C_level.T,
         unknown=tuple(odometry.unknown),
     )
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_companion.lidar.odometry import Estimate, RelativePose
+from ekf_companion.lidar.odometry import Estimate
+from ekf_companion.lidar.relative import RelativePose
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.relative_pose import UPPER as UPPER_POSE

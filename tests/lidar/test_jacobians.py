@@ -8,8 +8,9 @@ import pytest
 from ekf_companion.lidar.deskew import deskew
 from ekf_companion.lidar.gap import Lost, joined, turn_between
 from ekf_companion.lidar.motion import prepare, propagate
-from ekf_companion.lidar.odometry import by_axes, recentred
+from ekf_companion.lidar.odometry import recentred
 from ekf_companion.lidar.recording import InertialSamples
+from ekf_companion.lidar.relative import by_axes
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import ATT, DOWN, POS, POSE, VEL, N, State, exp
 from ekf_companion.lidar.update import SEEN_WITH_MOUNTING, shift_by_state
