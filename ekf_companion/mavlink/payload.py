@@ -267,6 +267,8 @@ class PayloadReader:
             return True
         if rank != self.imu.instances.sole:
             self.imu.instances.admit(rank, t_ns)
+        if has_field and not is_zero:
+            self.imu.repetition.see(mx, my, mz)
         why = self.imu.repetition.judge_axes(t_us, gx, gy, gz, ax, ay, az)
         self.imu.last_us = t_us
         if why is not None:

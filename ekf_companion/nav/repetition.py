@@ -29,6 +29,8 @@ _RATE = 0.1
 of the range."""
 _FORCE = 2.0
 """m/s^2: the same for an accelerometer."""
+_RATES, _FORCES, _NOTED, _SEEN, _TURNED = 0o7, 0o70, 0o100, 0o200, 0o400
+"""Bits of the axes; that there is a reading to compare with, and a field; that this has turned."""
 _LANDED_US = 5_000_000
 """Identical samples of a vehicle at rest come from a simulator if they last so long, us."""
 
@@ -38,7 +40,7 @@ _BEFORE_ALL_US = -(2**62)
 STUCK = "stuck"
 LIMITED = "at the end of its range"
 AXIS = "stuck on an axis"
-"""One axis says the same, as 0, while the sensor turns about two others."""
+"""One axis says the same, as 0, while the others show that it cannot."""
 MEASURED = (LIMITED, AXIS)
 """What is used all the same, for the other axes."""
 ZERO = "absent: all six numbers are zero"
@@ -56,10 +58,12 @@ class Repetition:
     def __init__(self) -> None:
         if not cython.compiled:
             self._last, self._runs, self._equal = [0.0] * 6, [0] * 6, [0] * 6
-            self._turned, self._then = [0] * 6, [0.0] * 18
+            self._moved, self._then, self._field = [0] * 6, [0.0] * 54, [0.0] * 3
         for axis in range(6):
             self._last[axis] = math.nan
-            self._runs[axis] = self._equal[axis] = self._turned[axis] = 0
+            self._runs[axis] = self._equal[axis] = self._moved[axis] = 0
+        for axis in range(3):
+            self._field[axis] = 0.0
         self._pairs = 0
         self._since_us = 0
         self._newest_us = _BEFORE_ALL_US
@@ -68,6 +72,10 @@ class Repetition:
     def judge(self, t_us: int, sample: Sample) -> str | None:
         """Return why a sample, newer than all before, was not measured; None if it was."""
         return self.judge_axes(t_us, *sample)
+
+    def see(self, x: float, y: float, z: float) -> None:
+        """Take the magnetic field in the body, of any unit, that goes with the next samples."""
+        self._field[0], self._field[1], self._field[2] = x, y, z
 
     def judge_axes(
         self, t_us: int, gx: float, gy: float, gz: float, ax: float, ay: float, az: float
@@ -103,11 +111,11 @@ class Repetition:
         if count == 6:
             return None if self._may_stand(t_us) else STUCK
         if not is_large:
-            return AXIS if self._has_stuck_axis() else None
+            return self._stuck_axes()
         # No motion is at the end of three ranges
         return STUCK if rates == 3 or forces == 3 else LIMITED if count else None
 
-    def judge_rows(self, t_ns: Stamps, values: Array) -> Mask:
+    def judge_rows(self, t_ns: Stamps, values: Array, fields: Array) -> Mask:
         """Judge samples in the order of their arrival; return which of them were measured.
 
         A sample at the end of the range, or with an axis that is stuck, counts as measured, with a
@@ -116,15 +124,19 @@ class Repetition:
         Args:
             t_ns: Stamps, shape (n,).
             values: Rows that begin with rate and specific force, shape (n, 6 or more).
+            fields: The magnetic field, in any unit, that came last before each; zeros: none,
+                shape (n, 3).
         """
         is_good = np.ones(len(t_ns), dtype=np.uint8)
-        self.judge_each(t_ns, np.ascontiguousarray(values), is_good)
+        rows, fields = np.ascontiguousarray(values), np.ascontiguousarray(fields)
+        self.judge_each(t_ns, rows, fields, is_good)
         return is_good.view(np.bool_)
 
     def judge_each(
         self,
         t_ns: Const[Column[np.int64]],
         values: Const[Table[np.float64]],
+        fields: Const[Table[np.float64]],
         is_good: Column[np.uint8],
     ) -> None:
         """Do the work of :meth:`judge_rows`."""
@@ -134,6 +146,7 @@ class Repetition:
             if t_us <= self._newest_us:
                 continue
             self._newest_us = t_us
+            self.see(fields[n, 0], fields[n, 1], fields[n, 2])
             why = self.judge_axes(
                 t_us,
                 values[n, 0],
@@ -151,7 +164,7 @@ class Repetition:
         """Count whether an axis repeats its last value; return whether it does."""
         if value != self._last[axis]:
             self._last[axis] = value
-            self._runs[axis] = self._turned[axis] = 0
+            self._runs[axis] = self._moved[axis] = 0
             return False
         self._runs[axis] += 1
         self._equal[axis] += 1
@@ -176,28 +189,76 @@ class Repetition:
         """Whether an axis has been constant for longer than chance explains."""
         return self._chance(axis) < CHANCE
 
-    def _has_stuck_axis(self) -> bool:
-        """Whether an axis is silent, or always was, and the sensor then turns about two others.
+    def _stuck_axes(self) -> str | None:
+        """Judge axes that are silent, or always were, near 0, by what the others show.
 
         At rest an axis of coarse digits may be, and of a vehicle in a plane all but one are.
         """
-        is_any = False
+        silent = known = stuck = 0
         for axis in range(6):
             run = self._runs[axis]
-            is_first = self._pairs - run < _FEWEST <= run
-            if not is_first and not self._is_silent(axis):
+            is_silent = self._is_silent(axis)
+            if is_silent or self._pairs - run < _FEWEST <= run:
+                silent |= 1 << axis
+                if is_silent:
+                    known |= 1 << axis
+                self._note_motion(axis)
+        # The axis of the one rate that is left, 3: of none
+        left = 3
+        for axis in range(3):
+            if silent & _RATES == _RATES & ~(1 << axis):
+                left = axis
+        is_all = silent & _RATES == _RATES
+        for axis in range(6):
+            if not silent & 1 << axis:
                 continue
-            turned = self._turned[axis]
+            moved = self._moved[axis]
+            # Two rates: their bits without the lowest are not 0
+            is_stuck: bool = moved & _RATES & ((moved & _RATES) - 1) > 0
+            if axis < 3 and not is_stuck:
+                # A force tells of turns where none of its axes lies in a plane
+                is_shaken: bool = moved & _FORCES > 0 and silent & _FORCES == 0
+                # Two that have measured before do so while the third does
+                is_one_of_two: bool = left < 3 and known & 1 << axis > 0 and moved & 1 << left > 0
+                is_stuck = is_shaken or is_one_of_two or (is_all and moved & _TURNED > 0)
+            if is_stuck:
+                stuck |= 1 << axis
+        is_sensor = stuck & _RATES == _RATES or stuck & _FORCES == _FORCES
+        return STUCK if is_sensor else AXIS if stuck else None
+
+    def _note_motion(self, axis: int) -> None:
+        """Note which of the other axes have moved since this one fell silent."""
+        moved = self._moved[axis]
+        if moved == 0:
+            for other in range(6):
+                self._then[9 * axis + other] = self._last[other]
+        if not moved & _SEEN and self._strength() > 0.0:
+            moved |= _SEEN
             for other in range(3):
-                place = 3 * axis + other
-                if turned == 0:
-                    self._then[place] = self._last[other]
-                elif other != axis and abs(self._last[other] - self._then[place]) > _RATE:
-                    turned |= 2 << other
-            self._turned[axis] = turned | 1
-            # Two bits or more, beside the lowest: that there is a rate to compare with
-            is_any |= (turned >> 1) & ((turned >> 1) - 1) > 0
-        return is_any
+                self._then[9 * axis + 6 + other] = self._field[other]
+        for other in range(6):
+            change = abs(self._last[other] - self._then[9 * axis + other])
+            if change > (_RATE if other < 3 else _FORCE):
+                moved |= 1 << other
+        if moved & _SEEN and self._has_field_turned(axis):
+            moved |= _TURNED
+        self._moved[axis] = moved | _NOTED
+
+    def _has_field_turned(self, axis: int) -> bool:
+        """Whether the field has changed by half its strength since an axis fell silent.
+
+        So it does in a turn by 29 degrees across it; no current of a vehicle disturbs it so.
+        """
+        change = 0.0
+        for other in range(3):
+            by = self._field[other] - self._then[9 * axis + 6 + other]
+            change += by * by
+        return 0.0 < 0.25 * self._strength() < change
+
+    def _strength(self) -> float:
+        """Return the square of the field's strength."""
+        x, y, z = self._field[0], self._field[1], self._field[2]
+        return x * x + y * y + z * z
 
     def _may_stand(self, t_us: int) -> bool:
         rate = math.hypot(self._last[0], self._last[1], self._last[2])

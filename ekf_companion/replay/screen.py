@@ -49,6 +49,7 @@ class Screen:
         self._since: dict[float, tuple[int, Array]] = {}  # time and attitude of the last new one
         self._imu_ns: int | None = None
         self._turned: Array = np.zeros(3)
+        self._seen: Array = np.zeros(3)
         self._field: Array = np.full(4, np.nan)  # the last, and what was when it came first
         self._field_ns = self._field_used_ns = 0
         self._field_turned: Array = np.zeros(3)
@@ -62,7 +63,10 @@ class Screen:
         imu, mag = kinds[Kind.IMU], kinds[Kind.MAG]
         turned = self._turns(events, imu)
         is_good[kinds[Kind.HEADING]] = self._are_headings(events, kinds[Kind.HEADING], turned)
-        is_good[imu] = self._repetition.judge_rows(events.t_ns[imu], events.values[imu, :6])
+        fields = np.vstack([self._seen, events.values[mag, :3]])
+        self._seen = fields[-1]
+        fields = fields[np.searchsorted(mag, imu)]
+        is_good[imu] = self._repetition.judge_rows(events.t_ns[imu], events.values[imu, :6], fields)
         is_good[mag] = events.values[mag, :3].any(axis=1)
         self._count(Kind.MAG, NO_FIELD, int(np.count_nonzero(~is_good[mag])))
         is_good[mag] &= self._are_fields(events, mag, turned)

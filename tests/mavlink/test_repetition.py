@@ -78,12 +78,12 @@ def test_how_likely_it_is_that_each_axis_measures_falls_with_a_run():
     assert found == pytest.approx([-n * math.log(2000.0) for n in range(1, 5)], rel=0.01)
 
 
-def turning(count, axis, begin=0, value=0.0, digits=None, seed=1):
-    """Return samples of a vehicle that turns while an axis says the same from a row on."""
+def turning(count, axes, begin=0, value=0.0, digits=None, seed=1, rate=0.5):
+    """Return samples of a vehicle that turns while axes say the same from a row on."""
     t = np.arange(count) * 0.01
     samples = np.array(noisy(count, seed=seed, mean=STILL))
-    samples[:, :3] += 0.5 * np.sin(np.outer(t, (2.0, 2.3, 1.7)))
-    samples[begin:, axis] = value
+    samples[:, :3] += rate * np.sin(np.outer(t, (2.0, 2.3, 1.7)))
+    samples[begin:, axes] = value
     return [tuple(row) for row in (samples if digits is None else samples.round(digits)).tolist()]
 
 
@@ -110,6 +110,77 @@ def test_a_vehicle_that_lands_and_stands_has_no_axis_that_is_stuck(digits):
     rest = STILL + rng.normal(0.0, (2e-4, 4e-4, 1e-5, 0.01, 0.01, 0.01), (6000, 6))
     rest = rest if digits is None else rest.round(digits)
     assert set(judge([*flight, *map(tuple, rest.tolist())])) <= {None}
+
+
+def field_after(rows):
+    """Return the field in the body after turns by the rates of samples, 0.01 s each."""
+    pitch, roll = np.cumsum(np.array(rows)[:, 1]) * 0.01, np.cumsum(np.array(rows)[:, 0]) * 0.01
+    north, down = 0.2, 0.44
+    across = north * np.sin(pitch) + down * np.cos(pitch)
+    return np.stack(
+        [
+            north * np.cos(pitch) - down * np.sin(pitch),
+            across * np.sin(roll),
+            across * np.cos(roll),
+        ],
+        axis=1,
+    )
+
+
+def judge_with_field(samples, fields):
+    repetition, found = Repetition(), []
+    for n, (one, field) in enumerate(zip(samples, fields.tolist(), strict=True)):
+        repetition.see(*field)
+        found.append(repetition.judge(PERIOD_US * (n + 1), one))
+    return found
+
+
+@pytest.mark.parametrize("begin", [0, 1, 1500])
+@pytest.mark.parametrize("value", [0.0, 0.02])
+def test_a_gyro_that_is_stuck_near_0_on_all_axes_is_found_by_the_field(begin, value):
+    fields = field_after(turning(4000, [], rate=1.0))
+    found = judge_with_field(turning(4000, [0, 1, 2], begin, value), fields)
+    assert set(found[:begin]) <= {None}
+    assert set(found[begin + 400 :]) == {STUCK}
+    again = judge_with_field([*turning(2000, [0, 1, 2]), *turning(2000, [])], fields)
+    assert set(again[2001:]) == {None}
+
+
+def test_a_field_that_is_disturbed_at_rest_makes_no_gyro_stuck():
+    """Three digits, and a current that adds as much as motors do."""
+    flight = turning(2000, [], digits=3)
+    rest = np.random.default_rng(5).normal(STILL, (1e-4, 1e-4, 1e-4, 0.01, 0.01, 0.01), (4000, 6))
+    fields = np.vstack([field_after(flight), np.tile(field_after(flight)[-1], (4000, 1))])
+    fields[4000:] += (0.12, 0.0, 0.12)
+    found = judge_with_field([*flight, *map(tuple, rest.round(3).tolist())], fields)
+    assert set(found) == {None}
+
+
+@pytest.mark.parametrize("axes", [[0, 1], [1, 2], [0, 2], [0, 1, 2]])
+@pytest.mark.parametrize("begin", [0, 1500])
+def test_axes_of_a_gyro_that_are_stuck_are_found_by_the_vehicles_vibration(axes, begin):
+    samples = np.array(turning(4000, axes, begin))
+    samples[:, 3:] += np.random.default_rng(2).normal(0.0, 1.0, (4000, 3))
+    found = judge([tuple(row) for row in samples.tolist()])
+    assert set(found[:begin]) <= {None}
+    assert set(found[begin + 400 :]) == {STUCK if len(axes) == 3 else AXIS}
+
+
+@pytest.mark.parametrize("axes", [[0, 1], [1, 2], [0, 2]])
+def test_two_axes_that_fall_silent_while_the_third_turns_are_stuck(axes):
+    assert set(judge(turning(4000, axes, 1500))[1900:]) == {AXIS}
+
+
+def test_an_accelerometer_that_is_stuck_near_0_on_all_axes_while_the_gyro_turns_is_stuck():
+    for begin in (0, 1500):
+        assert set(judge(turning(4000, [3, 4, 5], begin))[begin + 400 :]) == {STUCK}
+
+
+def test_a_vehicle_that_goes_straight_without_noise_has_no_gyro_that_is_stuck():
+    t = np.arange(4000) * 0.01
+    rows = np.zeros((4000, 6))
+    rows[:, 3], rows[:, 5] = 3.0 * np.sin(t), -9.80665
+    assert set(judge([tuple(row) for row in rows.tolist()])) == {None}
 
 
 def test_a_vehicle_in_a_plane_has_no_axis_that_is_stuck():

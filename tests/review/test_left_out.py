@@ -127,6 +127,32 @@ def test_a_gyro_with_an_axis_that_is_stuck_at_0_is_named_and_used(rows, kind, be
 
 
 @in_every_format
+@pytest.mark.parametrize("begin", [0.0, 25.0])
+@pytest.mark.parametrize("axes", [[0, 1], [1, 2], [0, 2]])
+def test_two_axes_of_a_gyro_that_are_stuck_at_0_are_named(rows, kind, axes, begin, tmp_path):
+    is_stuck = rows.since >= begin
+    rows.imu[np.ix_(is_stuck, axes)] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[AXIS] > 0.85 * np.count_nonzero(is_stuck)
+    assert verdict(found).startswith("poor")
+    assert "the inertial sensor is stuck on an axis" in verdict(found)
+
+
+@in_every_format
+@pytest.mark.parametrize("begin", [0.0, 25.0])
+def test_a_gyro_that_is_stuck_at_0_is_left_out_as_a_gap(rows, kind, begin, tmp_path):
+    """Whatever the tilt is then, nobody knows: it was 60 degrees off."""
+    is_stuck = rows.since >= begin
+    rows.imu[is_stuck, :3] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[STUCK] > 0.85 * np.count_nonzero(is_stuck)
+    assert "of a sensor that is stuck" in found.notes
+    assert re.search("inertial samples end at .*the inertial sensor is stuck", verdict(found))
+    # At rest before the take-off zeros are right
+    assert found.since[-1] < max(begin + 1.0, 7.0)
+
+
+@in_every_format
 @pytest.mark.parametrize("table", ["imu_ns", "fix_ns"])
 def test_a_row_with_stamp_0_costs_itself_and_no_row_before_it(rows, kind, table, tmp_path):
     whole = convert(rows, kind, tmp_path)

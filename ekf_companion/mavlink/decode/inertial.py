@@ -115,6 +115,8 @@ class Inertial(InertialState):
             self._is_marked = True
         elif self._is_unmarked(sample):
             updated = ACCEL_GYRO | MAG | PRESSURE
+        if updated & MAG == MAG and (mx or my or mz):
+            self.repetition.see(mx, my, mz)
         if updated & ACCEL_GYRO != ACCEL_GYRO:
             context.refuse("HIGHRES_IMU: accel or gyro not updated")
         elif (
@@ -317,6 +319,8 @@ class Inertial(InertialState):
             ):
                 self._add_field(out, rank, t_ns, xmag, ymag, zmag, rates)
                 return
+            if rank == self.sources.rank and (xmag or ymag or zmag):
+                self.repetition.see(xmag, ymag, zmag)
             if self._is_stuck(rank, t_us, rates + forces):
                 return
             is_sure = not self._context.clock.is_in_doubt
