@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from ekf_companion.engine.estimate_announcer import EstimateAnnouncer, journal_fields
 from ekf_companion.engine.pilot import PilotTexts
+from ekf_companion.mavlink.audit import no_samples_cause
 from ekf_companion.mavlink.decode import aids
 from ekf_companion.mavlink.event import (
     Advised,
@@ -35,7 +36,8 @@ from ekf_companion.mavlink.statustext import Severity
 _log = logging.getLogger(__name__)
 
 SILENCE_NS = 10 * SECOND_NS
-"""Without an autopilot for so long, a human should look: it sends its heartbeat once a second."""
+"""Without an autopilot for so long, or samples of one, a human should look: it sends its heartbeat
+once a second, and requests have been answered by then, or never are."""
 
 _SPARE = {
     "SCALED_PRESSURE": "autopilots whose inertial message has no pressure need it",
@@ -62,6 +64,8 @@ class Announcer:
         self._silent_from_ns: int | None = None
         self._is_heard = False
         """Whether an autopilot was found, or its absence announced."""
+        self._found_ns: int | None = None
+        """When one was found that has sent no inertial sample; None: or that was announced."""
 
     def on_begin(self, warnings: Iterable[str]) -> None:
         """Begin with an estimator that begins anew, and the warnings about its output."""
@@ -100,12 +104,27 @@ class Announcer:
         for subject in due:
             self.on_event(self._waiting.pop(subject), now_ns)
         if self._is_heard:
+            self._await_samples()
             return
         if self._silent_from_ns is None:
             self._silent_from_ns = now_ns
         if now_ns - self._silent_from_ns >= SILENCE_NS:
             self._is_heard = True
             self._announce_silence()
+
+    def _await_samples(self) -> None:
+        """Announce once that an autopilot sends no inertial sample, and the probable reason."""
+        session = self._session
+        peer = session.discovery.peer
+        if self._found_ns is None or peer is None or session.discovery.is_lost:
+            return
+        if peer[0] in session.discovery.sampled:
+            self._found_ns = None
+        elif self._now_ns - self._found_ns >= SILENCE_NS:
+            self._found_ns = None
+            cause = no_samples_cause(session.requests.results, session.discovery.family)
+            _log.warning("No inertial sample of the autopilot has come in 10 s: %s", cause)
+            self._tell("samples", Severity.WARNING, "no inertial samples")
 
     def _announce_silence(self) -> None:
         """Log that no autopilot has been heard, and what to check."""
@@ -128,7 +147,7 @@ class Announcer:
     def _announce(self, event: Event) -> None:
         match event:
             case PeerFound(system_id, component_id, family):
-                self._is_heard = True
+                self._is_heard, self._found_ns = True, self._now_ns
                 self.pilot.forget()
                 _log.info(
                     "Autopilot found: system %d, component %d, %s",

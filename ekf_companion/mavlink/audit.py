@@ -9,7 +9,7 @@ from statistics import median
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, PeerFound, RateTooLow
 from ekf_companion.mavlink.messages import LAYOUTS
-from ekf_companion.mavlink.request import ACCEPTED, Requests
+from ekf_companion.mavlink.request import ACCEPTED, NO_ANSWER, Requests
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
@@ -22,6 +22,8 @@ _RECEIVER = {
     Family.PX4: "GPS_1_CONFIG, SER_GPS1_BAUD, MAV_n_MODE",
 }
 """Parameters that decide whether there is a receiver, and whether what it says is streamed."""
+_STREAM = {Family.ARDUPILOT: "SRn_RAW_SENS = 50", Family.PX4: "MAV_n_MODE = 2 (Onboard)"}
+"""Parameters that have the inertial samples sent."""
 
 _STEP_NS = SECOND_NS
 _STEPS = 5
@@ -80,9 +82,9 @@ class Audit(Service):
         inertial = self.rates.get(in_use, 0.0)
         name = self._requests.inertial or (in_use if in_use == "RAW_IMU" else "HIGHRES_IMU")
         is_low = inertial < _SHARE * self._requests.expected_rate(name)
-        if is_low and self._tries[name] and self.rates.get(_GNSS, 0.0) == 0.0:
-            # What comes of it leaves no room for fixes
-            self._requests.lower(name, inertial)
+        is_starved = inertial > 0.0 and self.rates.get(_GNSS, 0.0) == 0.0
+        # What comes of it leaves no room for fixes
+        if is_low and self._tries[name] and is_starved and self._requests.lower(name, inertial):
             return
         self._judge_rate(name, is_low, now_ns)
         # The receiver decides its rate; only silence is a fault
@@ -100,11 +102,13 @@ class Audit(Service):
             return
         self._tries[name] += 1
         if self._tries[name] == _TRIES + 1:
-            cause = (
-                silence_cause(self._requests.results.get(name, ""), self._family)
-                if name == _GNSS
-                else probable_cause(self.rates, self._requests.rates, self._family)
-            )
+            results = self._requests.results
+            if name == _GNSS:
+                cause = silence_cause(results.get(name, ""), self._family)
+            elif not any(self.rates.get(one, 0.0) for one in INERTIAL):
+                cause = no_samples_cause(results, self._family)
+            else:
+                cause = probable_cause(self.rates, self._requests.rates, self._family)
             self.causes[name] = cause
             self._emit(RateTooLow(name, asked, self.rates.get(name, 0.0), cause))
         self._next_ns[name] = now_ns + (_AGAIN_NS if self._tries[name] <= _TRIES else _RESIGNED_NS)
@@ -116,6 +120,18 @@ def silence_cause(result: str, family: Family) -> str:
     setting = _RECEIVER.get(family, "the receiver's port and this link's streams")
     answer = "" if result in ("", ACCEPTED) else f" (request: {result})"
     return f"no receiver, or its stream is off{answer}; see {setting}"
+
+
+def no_samples_cause(results: Mapping[str, str], family: Family) -> str:
+    """Return why probably no inertial sample comes, by the answers to our requests."""
+    if results and {*results.values()} == {NO_ANSWER}:
+        return (
+            "it answers none of our requests, so it does not hear us: check our TX wire, RTS and "
+            "CTS, and that a router lets us send to it"
+        )
+    answers = [f"{name}: {results[name]}" for name in INERTIAL if name in results]
+    request = f"requests: {', '.join(answers)}" if answers else "none comes by itself"
+    return f"{request}; see {_STREAM.get(family, 'the streams of this link')}"
 
 
 def probable_cause(
@@ -133,7 +149,7 @@ def probable_cause(
         if name not in INERTIAL and name != _GNSS and rate >= 5.0 and measured.get(name, 0.0) > 0.0
     }
     if inertial == 0.0:
-        return "none comes; the autopilot's log or firmware may say why"
+        return no_samples_cause({}, family)
     is_ardupilot = family is Family.ARDUPILOT
     rates = [inertial, *others.values()]
     usual = median(rates)

@@ -56,7 +56,7 @@ _ARDUPILOTS = ("SCALED_IMU2", "SCALED_IMU3")
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 _STEPS = (100.0, 50.0, 40.0, 25.0, 10.0)
 """Hz; ArduPilot denies more than 0.8 of its loop's rate, where that could not be read."""
-_NO_ANSWER = "no answer"
+NO_ANSWER = "no answer"
 
 
 @dataclass(slots=True)
@@ -160,13 +160,16 @@ class Requests(Service):
         if all(request.name != name for request in self._wanted):
             self._wanted.append(_Request(name, self.expected_rate(name)))
 
-    def lower(self, name: str, measured: float) -> None:
+    def lower(self, name: str, measured: float) -> bool:
         """Request an inertial message of ArduPilot's at less than half of what comes, Hz.
 
-        On a full line all that is asked for waits, and the samples with it.
+        On a full line all that is asked for waits, and the samples with it. Return whether there is
+        a lower rate to ask for.
         """
         rate = next((step for step in _STEPS if step < 0.5 * measured), _STEPS[-1])
-        if name in self._granted and all(request.name != name for request in self._wanted):
+        if rate >= self._granted.get(name, 0.0):
+            return False
+        if all(request.name != name for request in self._wanted):
             self._granted[name], self._is_lowered = rate, True
             self._wanted.append(_Request(name, rate))
             self._emit(
@@ -175,6 +178,7 @@ class Requests(Service):
                     f"{rate:g} Hz are requested; a faster line would carry {self._rate(name):g}"
                 )
             )
+        return True
 
     def expected_rate(self, name: str) -> float:
         """Return the rate to expect of a message, Hz: the granted one, else the requested one."""
@@ -187,7 +191,7 @@ class Requests(Service):
             if now_ns < (request.deadline_ns if request.sent else self._quiet_ns):
                 return
             if request.sent == _TRIES:
-                self._settle(_NO_ANSWER)
+                self._settle(NO_ANSWER)
                 continue
             if request.rate is not None and not request.sent:
                 if not self._loop_rate.may_request(request.rate, now_ns):
@@ -265,7 +269,7 @@ class Requests(Service):
     def _settle_inertial(self, name: str, rate: float, result: str) -> None:
         """Request the coarser message where ArduPilot refuses the finer one, then a lower rate."""
         lower = [step for step in _STEPS if step < rate]
-        if result != _NO_ANSWER:
+        if result != NO_ANSWER:
             self._granted.pop(name, None)
         if result == ACCEPTED:
             self._granted = {name: rate}  # one message is enough
@@ -278,5 +282,5 @@ class Requests(Service):
                 )
         elif name == "HIGHRES_IMU":
             self._wanted.appendleft(_Request("RAW_IMU", rate))
-        elif result != _NO_ANSWER and lower:
+        elif result != NO_ANSWER and lower:
             self._wanted.appendleft(_Request("HIGHRES_IMU", lower[0]))

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from ekf_companion.mavlink.audit import no_samples_cause
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.lag import CROWDED
 from ekf_companion.nav.state import Status
 from ekf_companion.status.lacking import lacking
@@ -153,7 +155,9 @@ def missing_input(snapshot: Snapshot) -> str:
     if not peer.is_heard:
         return f"the autopilot has been silent for {peer.silent_s:.1f} s"
     if math.isnan(snapshot.sample_age_s):
-        return "no inertial sample has come: see the answers to our requests in /status"
+        answers = {name: one.answer for name, one in snapshot.messages.items() if one.answer}
+        cause = no_samples_cause(answers, Family(peer.family))
+        return f"no inertial sample of the autopilot has come: {cause}"
     if snapshot.sample_age_s > OLD_S:
         return f"no inertial sample has come for {snapshot.sample_age_s:.1f} s"
     return ""

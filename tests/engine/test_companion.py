@@ -11,6 +11,7 @@ from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfi
 from ekf_companion.core.settings.settings import GateSettings
 from ekf_companion.engine.announcer import SILENCE_NS
 from ekf_companion.engine.companion import Companion
+from ekf_companion.mavlink.codec import Sender
 from tests.engine.conversation import SECOND_NS, STREAMING, converse, cycles, messages, named
 
 
@@ -96,6 +97,30 @@ def test_an_autopilot_that_is_never_heard_is_missed_once(caplog, data, sentence)
 def test_an_autopilot_that_is_heard_is_not_called_silent(caplog):
     converse(Companion(Config()), cycles(10.5))
     assert "heard" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("answer", "cause"),
+    [
+        (None, "it answers none of our requests, so it does not hear us: check our TX wire"),
+        (2, "requests: HIGHRES_IMU: denied, RAW_IMU: denied, "),
+        (0, "requests: HIGHRES_IMU: accepted, SCALED_IMU2: accepted"),
+    ],
+)
+def test_samples_of_an_autopilot_that_never_come_are_missed_once(caplog, answer, cause):
+    companion, autopilot = Companion(Config()), Sender(1, 1)
+    for step in range(300):
+        now_ns = step * SECOND_NS // 10
+        data = b"" if step % 10 else autopilot.message("HEARTBEAT", type=2, autopilot=3)
+        companion.receive(data, now_ns)
+        companion.tick(now_ns)
+        for command in named("COMMAND_LONG", messages(companion)) if answer is not None else ():
+            ack = autopilot.message("COMMAND_ACK", command=command.command, result=answer)
+            companion.receive(ack, now_ns)
+        if step == 99:
+            assert "No inertial sample" not in caplog.text
+    assert caplog.text.count(f"No inertial sample of the autopilot has come in 10 s: {cause}") == 1
+    assert "fills the link" not in caplog.text
 
 
 def test_a_reboot_is_said_and_the_estimate_begins_anew(caplog):
