@@ -28,7 +28,7 @@ BOTH := packages are downloaded and the kernel is compiled
 BUILD := $(BIN)/python -W ignore setup.py --quiet build_ext --inplace
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
-	@echo "Setting up $(VENV): $(if $(wildcard $(FLYING)),more packages are downloaded,$(BOTH), two to four minutes on two cores)"
+	@echo "Setting up $(VENV): $(if $(wildcard $(FLYING)),more packages are downloaded,$(BOTH), up to six minutes on two cores of a server)"
 	@$(INSTALL) -e '.[dev]' $(WAITING)
 	@touch $@
 
@@ -38,7 +38,7 @@ $(STAMP): $(VENV)/.installed $(KERNEL)
 
 # What the demo needs, a fifth of what the tests need
 $(VENV)/.installed-demo: $(VENV)/bin/python pyproject.toml
-	@echo "Setting up $(VENV): $(BOTH), two to four minutes on two cores"
+	@echo "Setting up $(VENV): $(BOTH), up to six minutes on two cores of a server"
 	@$(INSTALL) -e '.[sim,plot]' 'cython>=3.1' 'setuptools>=77' $(WAITING)
 	@touch $@
 
@@ -179,7 +179,7 @@ reconnect: $(STAMP)
 PACK := rm -rf build/lib.* && $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps
 
 wheel: $(VENV)/bin/python
-	@echo "Making a wheel in dist: $(BOTH) unless it is, two to four minutes on two cores"
+	@echo "Making a wheel in dist: $(BOTH) unless it is, up to six minutes on two cores of a server"
 	@$(PACK) --wheel-dir dist . $(WAITING)
 	@ls -sh dist/ekf_companion-*.whl
 
@@ -208,7 +208,7 @@ install uninstall:
 
 # A package for this processor and this system's Python, in dist/; see systemd/deb.sh
 deb:
-	@echo "Making a package in $(or $(OUT),dist): $(BOTH), two to four minutes on two cores"
+	@echo "Making a package in $(or $(OUT),dist): $(BOTH), up to six minutes on two cores of a server"
 	@PYTHON=$(SYSTEM_PYTHON) systemd/deb.sh $(WAITING)
 	@ls -sh $(or $(OUT),dist)/ekf-companion_*.deb
 
