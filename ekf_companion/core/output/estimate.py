@@ -152,6 +152,8 @@ def judge_state(x: State, k: Parameters) -> int:
         reasons |= REASON_AUTOPILOTS
     if is_judged:
         pass
+    elif x.t - x.refused_t[AID_VELOCITY] > late * 1e9:
+        pass  # where no velocity comes any more, none is refused
     elif is_running(x, AID_VELOCITY) or (x.is_gradual != 0.0 and is_refused(x, AID_VELOCITY)):
         reasons |= REASON_VELOCITY_REFUSED
     if is_timed_out(x, AID_POSITION, late + 1.0):
