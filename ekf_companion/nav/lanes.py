@@ -35,7 +35,7 @@ from ekf_companion.nav.inertial_unit import (
     Unit,
     Waiting,
 )
-from ekf_companion.nav.repetition import AXIS, CHANCE, STUCK, ZERO
+from ekf_companion.nav.repetition import AXIS, CHANCE, SPIKE, STUCK, ZERO
 
 MOST = 4
 """Units that are watched: autopilots have three, and others four."""
@@ -143,6 +143,9 @@ class Lanes:
             why = UNHEALTHY
         else:
             why = unit.take(t_ns, gx, gy, gz, ax, ay, az)
+            if why == SPIKE:
+                # One sample that is left out where it is read is no reason to leave the unit
+                return USED if is_used else LEFT
             if why is None and unit.chance < CHANCE:
                 why = AXIS
         if why is not None:

@@ -44,6 +44,12 @@ AXIS = "stuck on an axis"
 MEASURED = (LIMITED, AXIS)
 """What is used all the same, for the other axes."""
 ZERO = "absent: all six numbers are zero"
+LEAP = _LEAP = 10.0
+"""rad/s from one sample to the next: no flight but a crash is so rough, and then it goes on."""
+SPIKE = "leaping by more than 10 rad/s, and back"
+"""As a damaged word of the sensor's bus is, or the end of 16 bits of mrad/s."""
+_LONG_LEAP = 5
+"""Samples in a row after which even the same one, to the bit, is where the rate has leapt to."""
 
 
 class Repetition:
@@ -58,12 +64,15 @@ class Repetition:
     def __init__(self) -> None:
         if not cython.compiled:
             self._last, self._runs, self._equal = [0.0] * 6, [0] * 6, [0] * 6
+            self._steady, self._leapt = [0.0] * 3, [0.0] * 3
             self._moved, self._then, self._field = [0] * 6, [0.0] * 54, [0.0] * 3
         for axis in range(6):
             self._last[axis] = math.nan
             self._runs[axis] = self._equal[axis] = self._moved[axis] = 0
         for axis in range(3):
             self._field[axis] = 0.0
+            self._steady[axis] = self._leapt[axis] = math.nan
+        self._leaps = 0
         self._pairs = 0
         self._since_us = 0
         self._newest_us = _BEFORE_ALL_US
@@ -84,6 +93,8 @@ class Repetition:
         # In free fall there would be noise
         if gx == 0.0 and gy == 0.0 and gz == 0.0 and ax == 0.0 and ay == 0.0 and az == 0.0:
             return ZERO
+        if self._is_spike(gx, gy, gz):
+            return SPIKE
         is_any = self._count(0, gx)
         is_any |= self._count(1, gy)
         is_any |= self._count(2, gz)
@@ -159,6 +170,25 @@ class Repetition:
             if why is not None:
                 is_good[n] = why in MEASURED
                 self.refused[why] = self.refused.get(why, 0) + 1
+
+    def _is_spike(self, gx: float, gy: float, gz: float) -> bool:
+        """Whether a rate has leapt, and nothing says yet that it goes on so."""
+        is_far = is_same = False
+        is_near = True
+        for axis in range(3):
+            rate = gx if axis == 0 else gy if axis == 1 else gz
+            is_near = is_near and abs(rate - self._leapt[axis]) <= _LEAP
+            if abs(rate - self._steady[axis]) > _LEAP:
+                is_far = True
+                is_same = is_same or rate == self._leapt[axis]
+        if is_far:
+            self._leaps = self._leaps + 1 if is_near else 1
+            self._leapt[0], self._leapt[1], self._leapt[2] = gx, gy, gz
+            if self._leaps < 2 or (is_same and self._leaps < _LONG_LEAP):
+                return True
+        self._leaps = 0
+        self._steady[0], self._steady[1], self._steady[2] = gx, gy, gz
+        return False
 
     def _count(self, axis: int, value: float) -> bool:
         """Count whether an axis repeats its last value; return whether it does."""

@@ -10,7 +10,7 @@ from ekf_companion.nav.held_heading import ZERO as ZERO_HEADING
 from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.repetition import AXIS, LIMITED, STUCK, ZERO
+from ekf_companion.nav.repetition import AXIS, LIMITED, SPIKE, STUCK, ZERO
 from ekf_companion.replay.screen import NO_FIELD, NO_PLACE, NO_PRESSURE, Screen
 
 VELOCITIES = (ALWAYS_ZERO, COURSE_HELD, HELD, REPEATED_VELOCITY)
@@ -32,6 +32,8 @@ _NOTES = {
     "turn, and the rotation about it, or the force along it, is not known; check the sensor",
     LIMITED: "{} of {} {} are of a sensor at the end of its range, or with an axis that is stuck: "
     "their noise counts as larger; check the sensor, its mounting and its range",
+    SPIKE: "{} of {} {} leap by more than 10 rad/s, and back: they are spikes, and were not used; "
+    "check the sensor and what reads it",
     ZERO: "{} of {} {} are six zeros, as of a sensor that is absent: they were not used",
     ZERO_HEADING: "{} of {} {} are 0 where there is none: they were not used",
     NO_PRESSURE: "{} of {} {} are of a pressure that air has nowhere up to 11 km, and were not "
@@ -55,6 +57,7 @@ _WORDS = {
     STUCK: "the inertial sensor is stuck",
     AXIS: "the inertial sensor is stuck on an axis",
     LIMITED: "the inertial sensor is at the end of its range",
+    SPIKE: "the inertial sensor has spikes",
     ZERO: "the inertial sensor is absent",
     ZERO_HEADING: "headings of 0 where there is none",
     NO_PLACE: "fixes without a place",
@@ -68,7 +71,7 @@ _WORDS = {
 """Held headings are not among them: slow receivers repeat theirs, and it does no harm."""
 
 
-_LOST = (STUCK, ZERO, REPEATED, NO_FIELD, NO_PRESSURE)
+_LOST = (SPIKE, STUCK, ZERO, REPEATED, NO_FIELD, NO_PRESSURE)
 """Reasons for which a whole measurement is left out."""
 
 
@@ -115,7 +118,7 @@ def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iter
         *(
             (Kind.IMU, message, why, why)
             for message in SOURCES
-            for why in (STUCK, LIMITED, AXIS, ZERO)
+            for why in (STUCK, LIMITED, AXIS, SPIKE, ZERO)
         ),
         *((Kind.GNSS, message, why, why) for message in receivers for why in VELOCITIES),
         (Kind.HEADING, receivers[0], f"yaw {REPEATED}", REPEATED),

@@ -10,6 +10,7 @@ from ekf_companion.errors import DataError
 from ekf_companion.filters.inertial import LARGEST_FORCE, LARGEST_RATE
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY
+from ekf_companion.nav.repetition import LEAP
 
 SLOWEST, FASTEST = 1.0, 20_000.0
 """Of inertial samples, Hz."""
@@ -24,7 +25,7 @@ UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
 LARGEST = {"gyro": (LARGEST_RATE, "rad/s"), "accel": (LARGEST_FORCE, "m/s2")}
 """Beyond these no sample is used."""
-SPIKE = {"gyro": 10.0, "accel": 80.0}
+SPIKE = {"gyro": LEAP, "accel": 80.0}
 """rad/s and m/s^2: no flight but a crash is so rough."""
 SPIKES = 5.0
 """Times the size that all but ``SELDOM`` of the samples stay below: a spike is larger."""

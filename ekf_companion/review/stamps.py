@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.repetition import STUCK, ZERO
+from ekf_companion.nav.repetition import SPIKE, STUCK, ZERO
 from ekf_companion.replay.screen import Screen
 
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
@@ -83,7 +83,8 @@ NO_SAMPLES = StampCount(0)
 def of_columns(screen: Screen, lost_share: float) -> StampCount:
     """Return what the screen of a columnar log found; of its rows a share was left out before."""
     refused = screen.left_out
-    judged = screen.total[Kind.IMU] - refused[Kind.IMU, STUCK] - refused[Kind.IMU, ZERO]
+    lost = sum(refused[Kind.IMU, why] for why in (SPIKE, STUCK, ZERO))
+    judged = screen.total[Kind.IMU] - lost
     return StampCount(judged, screen.repeated, screen.back, lost_share)
 
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from ekf_companion.nav.repetition import AXIS, LIMITED, MEASURED, STUCK, Repetition
+from ekf_companion.nav.repetition import AXIS, LIMITED, MEASURED, SPIKE, STUCK, Repetition
 
 PERIOD_US = 4000
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665)
@@ -181,6 +181,38 @@ def test_a_vehicle_that_goes_straight_without_noise_has_no_gyro_that_is_stuck():
     rows = np.zeros((4000, 6))
     rows[:, 3], rows[:, 5] = 3.0 * np.sin(t), -9.80665
     assert set(judge([tuple(row) for row in rows.tolist()])) == {None}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("value", [32.767, -32.768, 15.0])
+def test_a_rate_that_leaps_and_comes_back_was_not_measured(count, value):
+    samples = noisy(1000, mean=STILL)
+    for begin in range(100, 1000, 100):
+        for n in range(begin, begin + count):
+            samples[n] = (samples[n][0], value, *samples[n][2:])
+    found = judge(samples)
+    assert [n for n, one in enumerate(found) if one == SPIKE] == [
+        n for begin in range(100, 1000, 100) for n in range(begin, begin + count)
+    ]
+    assert set(found) == {None, SPIKE}
+
+
+def test_a_rate_that_leaps_and_goes_on_costs_one_sample():
+    before, after = (
+        noisy(500, mean=STILL),
+        noisy(500, seed=2, mean=(25.0, 0.0, 0.0, 0.0, 0.0, -9.8)),
+    )
+    found = judge([*before, *after, *before])
+    assert [n for n, one in enumerate(found) if one is not None] == [500, 1000]
+    # Without noise, five
+    flat = judge([*before, *[after[0]] * 4, after[0], *after])
+    assert flat[500:505] == [SPIKE] * 4 + [None]
+
+
+def test_a_log_that_begins_with_a_spike_loses_the_next_sample():
+    samples = noisy(100, mean=STILL)
+    samples[0] = (32.767, *samples[0][1:])
+    assert judge(samples)[:4] == [None, SPIKE, None, None]
 
 
 def test_a_vehicle_in_a_plane_has_no_axis_that_is_stuck():

@@ -11,7 +11,7 @@ from ekf_companion.nav.held_heading import REPEATED
 from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD, MOVING, HeldVelocities
 from ekf_companion.nav.held_velocity import REPEATED as REPEATED_VELOCITY
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.repetition import AXIS, LIMITED, STUCK, ZERO
+from ekf_companion.nav.repetition import AXIS, LIMITED, SPIKE, STUCK, ZERO
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.screen import Screen
 from ekf_companion.review.evidence import Evidence
@@ -150,6 +150,20 @@ def test_a_gyro_that_is_stuck_at_0_is_left_out_as_a_gap(rows, kind, begin, tmp_p
     assert re.search("inertial samples end at .*the inertial sensor is stuck", verdict(found))
     # At rest before the take-off zeros are right
     assert found.since[-1] < max(begin + 1.0, 7.0)
+
+
+@in_every_format
+@pytest.mark.parametrize(("axes", "value"), [([0], 32.767), ([2], -32.768), ([0, 1, 2], 32.767)])
+def test_single_spikes_of_a_gyro_are_left_out_and_named(rows, kind, axes, value, tmp_path):
+    """32.767 rad/s ends 16 bits of mrad/s: the tilt was 30 degrees off, and the flight good."""
+    spikes = np.arange(100, len(rows.imu), 150)
+    rows.imu[np.ix_(spikes, axes)] = value
+    found = convert(rows, kind, tmp_path)
+    # Of a .tlog the first 3 s await a better message
+    assert left_out(found) == {SPIKE: pytest.approx(len(spikes), abs=2)}
+    assert "leap by more than 10 rad/s, and back" in found.notes
+    assert verdict(found) == "good: no resets"
+    assert worst(found.tilt, found, 20.0) < 2.0
 
 
 @in_every_format
@@ -329,6 +343,16 @@ def test_a_velocity_that_stands_while_positions_move_is_left_out(
     assert left_out(found)[why] > 200
     assert words in verdict(found)
     assert worst(found.distance, found, 20.0) < 3.0
+
+
+@in_every_format
+def test_a_velocity_that_is_0_from_a_moment_on_is_not_refused_for_good(rows, kind, tmp_path):
+    """Once none comes, none is refused: the rest of a .tlog was degraded, and poor."""
+    rows.fix[rows.fix_since > 25.0, 3:] = 0.0
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[ALWAYS_ZERO] > 150
+    assert verdict(found).startswith("good")
+    assert "the receiver's velocity is always 0" in verdict(found)
 
 
 @pytest.mark.parametrize("kind", TABLES)

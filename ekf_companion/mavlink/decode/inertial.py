@@ -19,7 +19,7 @@ from ekf_companion.nav.inertial_unit import Unit
 from ekf_companion.nav.lanes import CHANGED, LEFT, SHARE, USED, Lanes
 from ekf_companion.nav.matrix3 import Vector3
 from ekf_companion.nav.measurements import ImuSample
-from ekf_companion.nav.repetition import MEASURED, ZERO, Repetition, Sample
+from ekf_companion.nav.repetition import MEASURED, SPIKE, ZERO, Repetition, Sample
 
 SOURCES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 """The best first: whole numbers are coarser, and milliseconds coarser than microseconds."""
@@ -150,7 +150,7 @@ class Inertial(InertialState):
         """
         self._context.refused[f"{SOURCES[rank]}: {why}"] += 1
         number = self.instance if rank == 0 else max(rank - 2, 0)
-        same = "" if why == ZERO else ": it says the same again and again"
+        same = "" if why in (ZERO, SPIKE) else ": it says the same again and again"
         use = "so its noise counts as larger" if why in MEASURED else "which is not used"
         self._context.note_once(
             f"Inertial sensor {number} is {why}{same}, {use}; check the sensor, its mounting and "
