@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+from ekf_companion.core.memory.enums import Aid, Verdict
+from ekf_companion.engine.health import Health
 from ekf_companion.nav.held_heading import REPEATED
 from ekf_companion.nav.held_heading import ZERO as ZERO_HEADING
 from ekf_companion.nav.held_velocity import ALWAYS_ZERO, COURSE_HELD, HELD
@@ -15,6 +17,7 @@ from ekf_companion.replay.screen import NO_FIELD, NO_PLACE, NO_PRESSURE, Screen
 
 VELOCITIES = (ALWAYS_ZERO, COURSE_HELD, HELD, REPEATED_VELOCITY)
 VERTICAL_ZERO, VERTICAL_HELD = f"vertical {ALWAYS_ZERO}", f"vertical {HELD}"
+FROZEN = "those of a frozen receiver"
 OFTEN = 0.2
 """Share of a sensor's measurements beyond which its verdict names it."""
 
@@ -48,6 +51,8 @@ _NOTES = {
     "held between updates, and was not used",
     COURSE_HELD: "the velocity of {} of {} {} has the course of the ones before to the bit: at low "
     "speed the receiver holds it, and it was not used",
+    FROZEN: "{} of {} {} have the position of the ones before to the bit while the vehicle moves: "
+    "the receiver is frozen, and they were not used",
     VERTICAL_ZERO: "the vertical velocity of {} of {} {} is 0 while the heights move: it is none, "
     "and was not used",
     VERTICAL_HELD: "the vertical velocity of {} of {} {} repeats the one before while the heights "
@@ -63,6 +68,7 @@ _WORDS = {
     NO_PLACE: "fixes without a place",
     NO_FIELD: "magnetic fields of zeros",
     NO_PRESSURE: "the barometer's pressure is none of the air",
+    FROZEN: "the receiver is frozen",
     ALWAYS_ZERO: "the receiver's velocity is always 0",
     HELD: "the receiver's velocity is held",
     VERTICAL_ZERO: "the receiver's vertical velocity is always 0",
@@ -102,6 +108,18 @@ def of_columns(screen: Screen) -> list[LeftOut]:
         LeftOut(kind, why, count, screen.total[kind])
         for (kind, why), count in screen.left_out.items()
     ]
+
+
+def of_frozen(health: Health, flagged: int, total: int) -> Iterator[LeftOut]:
+    """Yield the fixes that the filter found to be of a frozen receiver.
+
+    Args:
+        health: Of the filter.
+        flagged: Fixes that the receiver itself reports as jammed or spoofed.
+        total: All fixes.
+    """
+    if (count := health.verdicts[Aid.POSITION][Verdict.SUSPECT] - flagged) > 0:
+        yield LeftOut(Kind.GNSS, FROZEN, count, total)
 
 
 def of_telemetry(refused: Mapping[str, int], counts: Mapping[Kind, int]) -> Iterator[LeftOut]:

@@ -15,7 +15,15 @@ from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health, Verdict
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage, counted
 from ekf_companion.nav.arrays import median
-from ekf_companion.nav.measurements import Events, Kind, is_derived, is_reboot, of_receiver
+from ekf_companion.nav.measurements import (
+    GNSS_FLAGS,
+    Events,
+    GnssFlag,
+    Kind,
+    is_derived,
+    is_reboot,
+    of_receiver,
+)
 from ekf_companion.nav.reason import (
     NONE,
     Seconds,
@@ -76,6 +84,8 @@ class Report:
     """What was wrong beyond doubt, where ``weigh_faults`` asks for it."""
     stamps: StampCount = NO_SAMPLES
     """Of the inertial samples, and how many of them cannot be right."""
+    flagged: int = 0
+    """Fixes that the receiver itself reports as jammed or spoofed."""
     left_out: list[LeftOut] = field(default_factory=list)
     """Measurements that are none."""
     extent: Extent = field(default_factory=Extent)
@@ -157,6 +167,8 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             medians = report.steps.setdefault(kind, [])
             medians.append(median(steps))
             report.rates[kind] = 1e9 / median(medians)
+    flags = np.nan_to_num(events.values[is_fix, GNSS_FLAGS]).astype(np.int64)
+    report.flagged += int(np.count_nonzero(flags & GnssFlag.SUSPECT))
     report.derived += int(np.count_nonzero(is_derived(events)))
     report.estimates += len(table)
     report.track.add(events, table)

@@ -134,6 +134,9 @@ class Review(Generic[P]):
             report.left_out = list(left_out.of_telemetry(report.refused, report.counts))
             share = log.back / max(len(log), 1)
             report.stamps = stamps.of_telemetry(report.refused, report.counts, share)
+        if report.health is not None:
+            total = report.counts[Kind.GNSS]
+            report.left_out += left_out.of_frozen(report.health, report.flagged, total)
         if report.estimates and report.stamps.total:
             used = report.estimates / report.stamps.total
             report.stamps = report.stamps._replace(unused_share=max(1.0 - used, 0.0))

@@ -16,6 +16,7 @@ from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.screen import Screen
 from ekf_companion.review.evidence import Evidence
 from ekf_companion.review.left_out import (
+    FROZEN,
     NO_FIELD,
     NO_PRESSURE,
     VERTICAL_ZERO,
@@ -343,6 +344,20 @@ def test_a_velocity_that_stands_while_positions_move_is_left_out(
     assert left_out(found)[why] > 200
     assert words in verdict(found)
     assert worst(found.distance, found, 20.0) < 3.0
+
+
+@in_every_format
+@pytest.mark.parametrize("vel", [0.0, None])
+def test_a_receiver_that_freezes_in_motion_is_named(rows, kind, vel, tmp_path):
+    """It says one place, and that it stands there, or its last speed."""
+    begin = int(np.searchsorted(rows.fix_since, 25.0))
+    rows.fix[begin:] = rows.fix[begin]
+    if vel is not None:
+        rows.fix[begin:, 3:] = vel
+    found = convert(rows, kind, tmp_path)
+    assert left_out(found)[FROZEN] == pytest.approx(len(rows.fix) - begin, abs=4)
+    assert "the receiver is frozen, and they were not used" in found.notes
+    assert re.search("poor: .*the receiver is frozen", verdict(found))
 
 
 @in_every_format
