@@ -56,6 +56,7 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
     Fault.HALT_BARO: ("barometer slides no more, by {:.0f} % of its rate", 100.0),
     Fault.FADE: ("GNSS position settles again, by {:.0f} % of its error", 100.0),
     Fault.FADE_HEIGHT: ("GNSS height settles again, by {:.0f} % of its error", 100.0),
+    Fault.RECOVERY_HEADING: ("heading right that was {:.1f} deg off", _DEG),
     Fault.POSITION_WILD: ("GNSS position erratic", 1.0),
     Fault.RECEIVER_WILD: ("GNSS position and velocity erratic", 1.0),
     Fault.VELOCITY_WILD: ("GNSS velocity erratic", 1.0),
@@ -101,9 +102,16 @@ act``; so decides ``hypotheses.open_rows``, but while the inertial noise leaps."
 ENDS = (
     *(Fault.RECOVERY, Fault.RECOVERY_HEIGHT, Fault.HALT, Fault.HALT_HEIGHT, Fault.HALT_BARO),
     *(Fault.FADE, Fault.FADE_HEIGHT),
+    Fault.RECOVERY_HEADING,
 )
 """Of what was found these are no faults."""
-SIZES = {Fault.DELAY: 1, Fault.FADE: 1, Fault.FADE_HEIGHT: 1, Fault.LED_ON: 2}
+SIZES = {
+    Fault.DELAY: 1,
+    Fault.FADE: 1,
+    Fault.FADE_HEIGHT: 1,
+    Fault.LED_ON: 2,
+    Fault.RECOVERY_HEADING: 1,
+}
 """Their other components are no part of the size: what a delay is about, how fast it fades, the
 velocity beside the way."""
 

@@ -30,7 +30,7 @@ class Instance:
     kind: Count
     """:class:`~.enums.Fault`."""
     level: Count
-    """It stands for 2^level onsets."""
+    """It stands for 2^level onsets; -1: of a heading, that it is off from the first one on."""
     t0: Real
     """Onset, ns."""
     log_prior: Real
@@ -52,7 +52,8 @@ class Instance:
     rows: Count
     """Components of b."""
     tau: Real
-    """Time constant of what settles; the delay about which another is linear, s."""
+    """Time constant of what settles; the delay about which another is linear, s. Of the end of a
+    heading's fault: 1, it was declared; 0, it was there from the first one on."""
     reference: Real
     """Height at the onset, m, down."""
     b: Annotated[Vector, COMPONENTS]
@@ -169,6 +170,12 @@ class Bank:
     """Variance of its logarithm."""
     faded_from: Annotated[Vector, 4]
     """What was held when that was declared, m."""
+    heading_off: Real
+    """What was declared of the heading in use, and is held in its slow error, rad."""
+    heading_off_var: Real
+    """Its variance then."""
+    azimuth: Real
+    """Of which heading that is, :class:`~.enums.Azimuth`."""
     field_slope: Annotated[Vector, 2]
     """What a field in n does to the last azimuth, rad/gauss."""
     taken: Annotated[Vector, FAULTS, 3]
@@ -221,6 +228,8 @@ class Bank:
     """What a component adds to each row of the innovation."""
     kept: Count
     """Place of the instance that stays while others are dropped; -1: none does."""
+    rival: Count
+    """Place of another one that does."""
     work: Annotated[Vector, N]
     before: Annotated[Vector, 4]
     """Rates of declared slides before the last was declared, m/s; slow errors before a fix, m."""

@@ -212,13 +212,15 @@ class Fault(IntEnum):
     """Our position was led away while no receiver could contradict that."""
     LED_ON = 44
     """It was, and our velocity still is."""
-    ACCEL_LOUD = 45
+    RECOVERY_HEADING = 45
+    """A heading is right that was off from the first one on; or what was declared of it fades."""
+    ACCEL_LOUD = 46
     """What an accelerometer whose noise has leapt has done to the velocity."""
-    GYRO_LOUD = 46
+    GYRO_LOUD = 47
     """What such a gyro has done to the attitude."""
-    ACCEL_NOISE = 47
+    ACCEL_NOISE = 48
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 48
+    GYRO_NOISE = 49
 
 
 class Source(IntEnum):

@@ -154,11 +154,6 @@ def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap:
         rate: RMS of the rates at both ends, per axis, rad/s.
         is_gap: Samples are missing.
     """
-    ratio = span / MOTION_TIME
-    spread = MOTION_TIME * sqrt(2.0 * (ratio - 2.0 * tanh(0.5 * ratio)))
-    turned = (rate if rate > RATE_STD else RATE_STD) * spread
-    gained = FORCE_STD * spread
-    yawed = turned
     if is_gap:
         x.gaps += 1.0
         x.force_sum[0] = NAN
@@ -168,6 +163,40 @@ def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap:
         if is_gap:
             x.alignment.motion.has_fix = 0.0
         return
+    add_lost(x, span, rate, 1.0)
+    if is_gap and span > k.gap_reset and x.mode == MODE_NAVIGATE:
+        x.needs_reset = NEEDS_FIX
+        x.alignment.motion.has_fix = 0.0
+        x.alignment.reference.is_known = 0.0
+
+
+def inflate_within_gap(x: State, rate: float, done: float, now: float) -> float:
+    """Inflate P before a reading within a gap by what may have happened so far; return the time.
+
+    By what has been added since the reading before: in all it is what ``inflate_after_gap`` adds
+    for the whole. Fault hypotheses would else take for a fault what no sample has shown.
+
+    Args:
+        x: The state at the reading.
+        rate: RMS of the rates at both ends, per axis, rad/s.
+        done: When that was, from the begin of the gap, s.
+        now: The time of the reading, likewise.
+    """
+    if now <= done:
+        return done
+    add_lost(x, now, rate, 1.0)
+    if done > 0.0:
+        add_lost(x, done, rate, -1.0)
+    return now
+
+
+def add_lost(x: State, span: float, rate: float, sign: float) -> None:
+    """Add to P what may have happened in a time (s) without samples, or take it back."""
+    ratio = span / MOTION_TIME
+    spread = MOTION_TIME * sqrt(2.0 * (ratio - 2.0 * tanh(0.5 * ratio)))
+    turned = (rate if rate > RATE_STD else RATE_STD) * spread
+    gained = FORCE_STD * spread
+    yawed = turned
     if yawed > 1.8:
         yawed = 1.8
     if turned > 0.5:
@@ -175,15 +204,11 @@ def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap:
     if gained > 20.0:
         gained = 20.0
     for i in range(2):
-        add_variance(x, E_ATT + i, turned * turned)
-    add_variance(x, E_ATT + 2, yawed * yawed)
+        add_variance(x, E_ATT + i, sign * turned * turned)
+    add_variance(x, E_ATT + 2, sign * yawed * yawed)
     for i in range(3):
-        add_variance(x, E_VEL + i, gained * gained)
-        add_variance(x, E_POS + i, 0.25 * gained * gained * span * span)
-    if is_gap and span > k.gap_reset and x.mode == MODE_NAVIGATE:
-        x.needs_reset = NEEDS_FIX
-        x.alignment.motion.has_fix = 0.0
-        x.alignment.reference.is_known = 0.0
+        add_variance(x, E_VEL + i, sign * gained * gained)
+        add_variance(x, E_POS + i, sign * 0.25 * gained * gained * span * span)
 
 
 def inflate_after_change(x: State, k: Parameters, imu: ImuRow) -> None:

@@ -29,9 +29,11 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     KIND_MAG,
     KIND_VEHICLE,
     MODE_INIT,
+    MODE_LEVEL,
     MODE_NAVIGATE,
     RESET_VELOCITY,
     VERDICT_SUPERSEDED,
+    WEIGH_ACT,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Structs
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -39,11 +41,13 @@ from cython.cimports.ekf_companion.core.memory.scratch import Event, ImuRow, Scr
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order import aid, dispatch, fix, yaw
 from cython.cimports.ekf_companion.core.order.interval import (
+    add_lost,
     advance,
     carry_on,
     find_interval_motion,
     inflate_after_change,
     inflate_after_gap,
+    inflate_within_gap,
     shown_rate,
 )
 from cython.cimports.ekf_companion.core.order.restart import forget_sensors, start, start_over
@@ -87,16 +91,23 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
         if w.tape.is_on:
             tape.record_gap(x, w)
     begin = x.t
+    done = 0.0
     for r in range(first, last + 1):
         advance(x, k, w, rows[r].t, begin, span)
         if r < last:
             carry_on(x, k, w)
+            if span > k.gap and k.weighs_faults == WEIGH_ACT and x.mode != MODE_LEVEL:
+                done = inflate_within_gap(x, shown_rate(x, imu), done, (x.t - begin) * 1e-9)
+                if w.tape.is_on:
+                    tape.record_gap(x, w)
             apply_event(x, k, w, address(rows[r]))
             if w.tape.is_on:
                 tape.record_event(x, w)
     if span > k.gap:
         carry_on(x, k, w)
         inflate_after_gap(x, k, span, shown_rate(x, imu), is_gap)
+        if done > 0.0:
+            add_lost(x, done, shown_rate(x, imu), -1.0)
         yaw_frame.restart(address(x.yaw_bank))
         if w.tape.is_on:
             tape.record_gap(x, w)

@@ -87,6 +87,7 @@ def begin(x: State, b: Bank) -> None:
     b.triples = 0
     b.fours = 0
     b.kept = -1
+    b.rival = -1
     b.is_observed = 0
     b.fix_t = NEVER
     b.proven_t = NEVER

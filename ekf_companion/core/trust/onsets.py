@@ -12,7 +12,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.memory.bank import COMPONENTS, INSTANCES, Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import NEVER, WITHOUT_FIX
+from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2, WITHOUT_FIX
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEADING,
@@ -42,6 +42,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LED,
     FAULT_LED_ON,
     FAULT_POSITION_STEP,
+    FAULT_RECOVERY_HEADING,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     SOURCE_NOISE,
@@ -78,6 +79,8 @@ LONGER = cython.declare(cython.double, 3.5)
 """How much longer each of the others is: 5, 17, 61 s."""
 EVER = cython.declare(cython.double, 0.004)
 """Odds that a heading is off from the first one on."""
+FROM_FIRST = cython.declare(cython.int, -1)
+"""Level of that instance: it is told apart from all onsets, and goes when it is excluded."""
 
 
 def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) -> None:
@@ -91,6 +94,9 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
     if aid == AID_BARO:
         begin_kinds(x, k, b, aid, FAULT_BARO_STEP, FAULT_BARO_WILD)
     elif aid == AID_HEADING:
+        if x.azimuth != b.azimuth:
+            b.azimuth = x.azimuth
+            b.heading_off = 0.0
         if x.t < b.proven_t:
             return
         first = FAULT_FIELD if x.azimuth >= AZIMUTH_MAGNETIC else FAULT_HEADING_STEP
@@ -99,6 +105,8 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
             for kind in range(first, last + 1):
                 begin_heading(x, k, b, o, kind)
         begin_kinds(x, k, b, aid, first, last)
+        if last == FAULT_HEADING_STEP:
+            begin_heading_end(x, k, b)
     elif aid <= AID_VELOCITY and b.fix_t != x.fix_t:
         b.fix_t = x.fix_t
         loud.walk(k, b, x.fix_dt)
@@ -224,6 +232,8 @@ def move(b: Bank, source: int, to: int) -> None:
     b.instance[to] = b.instance[source]
     if b.kept == source:
         b.kept = to
+    if b.rival == source:
+        b.rival = to
     for c in range(b.instance[to].rows):
         for e in range(N):
             b.U[c][e][to] = b.U[c][e][source]
@@ -235,10 +245,53 @@ def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -
     """Begin what may be ever since: that a heading is off, by which our yaw was found."""
     i = begin_instance(x, k, b, kind, 0.0)
     h = address(b.instance[i])
+    if kind == FAULT_HEADING_STEP:
+        h.level = FROM_FIRST
     h.log_prior = log(EVER)
     shape.find_direct(x, b, h, o, AID_HEADING)
     for c in range(h.rows):
         b.U[c][E_ATT + 2][i] = -b.trial.D[0][c]
+
+
+def begin_heading_end(x: State, k: Parameters, b: Bank) -> None:
+    """Begin that a heading is right: one that was off from the first on, or a declared one.
+
+    The first has led our yaw, and goes on from all that is known of it. The second comes back to
+    within its slow error, as far as that is less than what is held. What has gone by itself, down
+    to that error, is held no more.
+    """
+    left = x.heading_offset if b.heading_off > 0.0 else -x.heading_offset
+    if left < x.heading_std:
+        b.heading_off = 0.0
+    var = x.heading_std * x.heading_std + b.heading_off_var
+    is_held = cython.declare(cython.bint, b.heading_off * b.heading_off > THREE_SIGMA2 * var)
+    if not is_held and from_first(b) < 0:
+        return
+    i = begin_instance(x, k, b, FAULT_RECOVERY_HEADING, 0.1)
+    of = from_first(b)
+    h = address(b.instance[i])
+    h.tau = 1.0 if of < 0 else 0.0
+    if of < 0:
+        h.b[0] = -b.heading_off
+        h.M[0][0] = var
+        return
+    first = address(b.instance[of])
+    h.log_prior += first.log_prior
+    h.evidence = first.evidence
+    h.is_wide = first.is_wide
+    h.b[0] = first.b[0]
+    h.M[0][0] = first.M[0][0]
+    h.M[1][1] = 0.0
+    for e in range(N):
+        b.U[0][e][i] = b.U[0][e][of]
+
+
+def from_first(b: Bank) -> int:
+    """Return the place of the instance that a heading is off from the first one on; -1: none."""
+    for i in range(b.n):
+        if b.instance[i].level == FROM_FIRST:
+            return i
+    return -1
 
 
 def begin_settling(x: State, k: Parameters, b: Bank) -> None:
@@ -381,7 +434,7 @@ def thin(x: State, k: Parameters, b: Bank) -> None:
             is_over
             or is_absorbed
             or (age > SETTLED and h.evidence < EXCLUDED)
-            or (age > OLDEST and h.evidence < 0.0)
+            or (age > OLDEST and h.evidence < 0.0 and h.level != FROM_FIRST)
         ):
             drop(b, i)
         i -= 1

@@ -46,6 +46,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_LEVER,
     FAULT_POSITION_RAMP,
     FAULT_POSITION_STEP,
+    FAULT_RECOVERY_HEADING,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
     FAULT_VELOCITY_LAG,
@@ -57,6 +58,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SOURCE_DRAG,
     SOURCE_FALL,
     SOURCE_GYRO,
+    SOURCE_HEADING,
     SOURCE_HEIGHT,
     SOURCE_NOISE,
     SOURCE_POSITION,
@@ -122,14 +124,17 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
         elif h.recent > THREE_SIGMA2 or not (is_of_its_size(k, h) or is_own(k, source)):
             b.since[source] = x.t
         elif x.t - b.since[source] >= (patience if h.recent < UNEXPLAINED else 2.0 * patience):
+            is_told = cython.declare(cython.bint, p - find_rival(k, b, best) >= SURE)
             if k.weighs_faults != WEIGH_ACT:
-                tell(x, b, h)
+                if is_told:
+                    tell(x, b, h)
                 continue
             b.since[source] = NEVER
             if not is_of_its_size(k, h):
                 give_up(x, k, o, best)
                 return
-            tell(x, b, h)
+            if is_told:
+                tell(x, b, h)
             if shape.is_wild(h.kind):
                 take_back(x, k, o, best, p)
             else:
@@ -255,11 +260,56 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     if not shape.is_end(kind):
         b.failed_t[k.fault[kind].source] = x.t
     find_effect(x, b, i, 0.0, o.dx)
-    spread(x, k, o, i, p)
+    other = find_rival(k, b, i)
+    if b.rival >= 0 and (other == 0.0 or b.instance[b.rival].b[0] == 0.0):
+        b.rival = -1
+    if b.rival >= 0:
+        condition(b, b.rival, o.dx, other / (p - other))
+    spread(x, k, o, i, p - other)
     inject(x, o)
     doubt_it(k, b, i, o, p)
+    if kind == FAULT_RECOVERY_HEADING:
+        b.heading_off = 0.0
     # of what was held nothing is left that an end could be the opposite of
     drop_others(k, b, shows, -1 if shape.is_end(kind) else i)
+
+
+def find_rival(k: Parameters, b: Bank, i: int) -> float:
+    """Find what a fault of the heading shares its source with: that one begins, or has ended.
+
+    A heading that leaps is wrong from now on, or was so before; which of them motion shows. Note
+    the most probable one of the other sort, and return how probable that is.
+    """
+    b.rival = -1
+    total = 0.0
+    if k.fault[b.instance[i].kind].source != SOURCE_HEADING:
+        return 0.0
+    for j in range(b.n):
+        h = address(b.instance[j])
+        if k.fault[h.kind].source == SOURCE_HEADING and is_other_sort(b, i, j):
+            total += h.p
+            if b.rival < 0 or h.p > b.instance[b.rival].p:
+                b.rival = j
+    return total
+
+
+def is_other_sort(b: Bank, i: int, j: int) -> bool:
+    """Return whether just one of two is the end of a heading's fault."""
+    is_end = cython.declare(cython.bint, b.instance[i].kind == FAULT_RECOVERY_HEADING)
+    return is_end != (b.instance[j].kind == FAULT_RECOVERY_HEADING)
+
+
+def condition(b: Bank, i: int, dx: Vector, odds: float) -> None:
+    """Let an instance go on beside a repair that moves the state by dx, at odds to it.
+
+    Under it the state is off by what it was, less dx: as a share of its mean size.
+    """
+    h = address(b.instance[i])
+    h.evidence = log(odds) - h.log_prior
+    for e in range(N):
+        b.U[0][e][i] -= dx[e] / h.b[0]
+    for c in range(h.rows):
+        turn(b, c, i, dx)
 
 
 def drop_others(k: Parameters, b: Bank, shows: int, kept: int) -> None:
@@ -275,10 +325,11 @@ def drop_others(k: Parameters, b: Bank, shows: int, kept: int) -> None:
             cython.bint, shows != SHOWS_ALL and other != SHOWS_ALL and other != shows
         )
         is_noise = cython.declare(cython.bint, b.instance[j].kind >= FAULT_ACCEL_NOISE)
-        if j != b.kept and not is_apart and not is_noise:
+        if j != b.kept and j != b.rival and not is_apart and not is_noise:
             drop(b, j)
         j -= 1
     b.kept = -1
+    b.rival = -1
     # what goes on otherwise does so from now on, not from the next second on
     b.begun_t[AID_BARO] = NEVER
     for aid in range(AID_VELOCITY + 1):
@@ -295,7 +346,7 @@ def spread(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
     find_effect(x, b, i, 1.0, o.gain)
     for j in range(b.n):
         h = address(b.instance[j])
-        if k.fault[h.kind].source == source and h.p > UNLIKELY:
+        if k.fault[h.kind].source == source and h.p > UNLIKELY and not is_other_sort(b, i, j):
             find_effect(x, b, j, 1.0, b.work)
             for e in range(N):
                 b.work[e] -= o.gain[e]
@@ -369,7 +420,10 @@ def carry(x: State, b: Bank, h: Instance) -> None:
     elif kind == FAULT_BARO_RAMP:
         hold(b, 3, h.b[0] * since)
         drive_on(x, b, 3, h.b[0], h.M[0][0])
-    elif shape.is_end(kind):
+    elif kind == FAULT_HEADING_STEP:
+        b.heading_off += h.b[0]
+        b.heading_off_var = h.M[0][0]
+    elif shape.is_end(kind) and kind != FAULT_RECOVERY_HEADING:
         for axis in range(shape.first_axis(kind), shape.last_axis(kind) + 1):
             if shape.is_halt(kind):
                 hold(b, axis, -b.drift[axis] * since)
@@ -416,7 +470,11 @@ def extend(x: State, b: Bank, i: int, sign: float) -> None:
     """Extend the columns to the error state that holds the fault from now on; -1: take it back."""
     h = address(b.instance[i])
     kind = h.kind
-    if kind == FAULT_VELOCITY_STEP:
+    if kind == FAULT_RECOVERY_HEADING and h.tau != 0.0:  # of what was never held nothing is
+        shape.find_end(b, (x.t - h.t0) * 1e-9, b.trial.D)
+        for c in range(2):
+            b.U[c][E_HEADING][i] += sign * b.trial.D[0][c]
+    elif kind == FAULT_VELOCITY_STEP:
         for c in range(2):
             b.U[c][E_GNSS_VEL + c][i] += sign
     elif kind == FAULT_CLIMB_STEP or kind == FAULT_FALL:

@@ -62,6 +62,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_POSITION_STEP,
     FAULT_POSITION_WILD,
     FAULT_RECOVERY,
+    FAULT_RECOVERY_HEADING,
     FAULT_RECOVERY_HEIGHT,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
@@ -90,6 +91,9 @@ from cython.cimports.libc.math import exp, sqrt
 SETTLING_VAR = cython.declare(cython.double, 0.4)
 """Variance of the logarithm of that: 1.9 times faster or slower, half of what the times of
 ``onsets.begin_settling`` are apart."""
+ALIGNING = cython.declare(cython.double, 1.0)
+"""Rate at which an autopilot's heading comes back, 1/s: PX4's did by 2 in flight, ArduPilot's by
+half of one after its start, as recorded."""
 FAST = cython.declare(cython.double, 225.0)
 """Square of the speed that the barometer's error by speed is given at, (m/s)^2."""
 
@@ -97,7 +101,11 @@ FAST = cython.declare(cython.double, 225.0)
 def is_end(kind: int) -> bool:
     """Return whether a hypothesis is that declared faults have ended."""
     return (
-        kind == FAULT_RECOVERY or kind == FAULT_RECOVERY_HEIGHT or is_halt(kind) or is_fading(kind)
+        kind == FAULT_RECOVERY
+        or kind == FAULT_RECOVERY_HEIGHT
+        or is_halt(kind)
+        or is_fading(kind)
+        or kind == FAULT_RECOVERY_HEADING
     )
 
 
@@ -233,6 +241,8 @@ def begin(x: State, k: Parameters, b: Bank, i: int) -> None:
         h.b[0] = h.tau
         h.b[1] = 1.0
         h.M[1][1] = 0.0
+    elif kind == FAULT_RECOVERY_HEADING:
+        h.M[1][1] = SETTLING_VAR
     elif is_end(kind):
         h.b[0] = 1.0
         if is_halt(kind):
@@ -333,6 +343,13 @@ def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm)
         T[r][1] += whole - slope * later
 
 
+def find_end(b: Bank, since: float, T: Dcm) -> None:
+    """Write how far a heading that was declared has come back, by its size and its rate."""
+    left = exp(-ALIGNING * since)
+    T[0][0] = 1.0 - left
+    T[0][1] = -b.heading_off * left * ALIGNING * since
+
+
 def add_shape(
     x: State,
     b: Bank,
@@ -368,6 +385,9 @@ def add_shape(
     elif kind == FAULT_SETTLE_HEIGHT:
         if aid == AID_HEIGHT:
             T[0][0] += exp(-since / tau)
+    elif kind == FAULT_RECOVERY_HEADING:
+        if aid == AID_HEADING and tau != 0.0 and x.azimuth < AZIMUTH_MAGNETIC:
+            find_end(b, since, T)
     elif is_end(kind):
         if aid == aid_of(kind):
             first = first_axis(kind)
