@@ -70,7 +70,7 @@ from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import repair
 from cython.cimports.ekf_companion.core.trust.gate import is_running, is_shown, is_timed_out
 from cython.cimports.ekf_companion.core.trust.voices import is_fall_unconfirmed
-from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
+from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, sin, sqrt
 
 DEG = cython.declare(cython.double, 57.29577951308232)
 SLOW_STREAM = cython.declare(cython.double, 0.15)
@@ -152,7 +152,7 @@ def judge_state(x: State, k: Parameters) -> int:
         reasons |= REASON_AUTOPILOTS
     if is_judged:
         pass
-    elif x.t - x.refused_t[AID_VELOCITY] > late * 1e9:
+    elif isnan(x.last_fix_vel[0]):
         pass  # where no velocity comes any more, none is refused
     elif is_running(x, AID_VELOCITY) or (x.is_gradual != 0.0 and is_refused(x, AID_VELOCITY)):
         reasons |= REASON_VELOCITY_REFUSED
