@@ -146,8 +146,7 @@ class Lanes:
             if why == SPIKE:
                 # One sample that is left out where it is read is no reason to leave the unit
                 return USED if is_used else LEFT
-            # At rest digits may be coarse: enough to leave a unit, and no fault of one that waits
-            if why is None and is_used and unit.chance < CHANCE:
+            if why is None and unit.chance < CHANCE:
                 why = AXIS
         if why is not None:
             self._note(unit, why, t_ns)

@@ -306,20 +306,6 @@ def test_no_more_than_four_units_are_watched():
     assert [one.number for one in lanes.units] == [0, 1, 2, 3]
 
 
-def test_a_spare_unit_of_coarse_digits_that_lands_is_not_called_stuck():
-    """In mrad/s, at rest, an axis says the same for seconds, and so it does where it waits."""
-    units = Units(7, duration=24.0)
-    for number in range(2):
-        is_still = units.after(number)
-        noise = np.random.default_rng(number).normal(0.0, 1.0, units.values[number].shape)
-        rest = np.array([0, 0, 0, 0, 0, -9.81]) + noise * np.repeat([1e-4, 0.02], 3)
-        units.values[number] = np.where(is_still[:, None], rest, units.values[number])
-    units.values[1] = units.values[1].round(3)
-    lanes, _ = units.run()
-    assert not lanes.changes
-    assert [one.faults for one in lanes.units] == [0, 0]
-
-
 def test_a_unit_whose_gyro_falls_to_0_on_all_axes_is_left():
     units = Units(3)
     units.values[0][units.after(0), :3] = 0.0
