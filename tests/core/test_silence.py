@@ -11,6 +11,7 @@ from ekf_companion.core.memory.state import State
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.repetition import CHANCE
 from ekf_companion.nav.state import Status
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
@@ -46,6 +47,10 @@ def stuck(samples: np.ndarray, axis: int, begin: int, end: int) -> np.ndarray:
     held = samples.copy()
     held[begin:end, axis] = samples[begin, axis]
     return held
+
+
+def test_what_is_no_chance_is_so_to_the_filter_and_to_those_who_choose_a_unit():
+    assert pytest.approx(CHANCE, abs=0.1) == load().silence.CHANCE
 
 
 @pytest.mark.parametrize("digits", [9, 3], ids=["float", "in milliradians"])

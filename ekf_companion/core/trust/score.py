@@ -14,9 +14,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.memory.bank import Bank
 from cython.cimports.ekf_companion.core.memory.constants import EVEN, NEVER, THREE_SIGMA2
-from cython.cimports.ekf_companion.core.memory.enums import (
-    WEIGH_ACT,
-)
+from cython.cimports.ekf_companion.core.memory.enums import WEIGH_ACT
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State

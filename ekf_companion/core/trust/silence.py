@@ -29,7 +29,9 @@ CHANCE = cython.declare(cython.double, -27.6)
 KNOWN = cython.declare(cython.double, 2048.0)
 """Pairs of readings after which the counts of equal ones are halved, likewise."""
 MOTION = cython.declare(cython.double, 1.0)
-"""Time for which a vehicle goes on to turn and to accelerate as it does, s."""
+"""Variance by the second of a motion that no reading shows, of its square, s: twice the time over
+which rate and force are correlated (``interval.MOTION_TIME``, 0.4 s, measured), rounded up: all of
+the motion that is felt may be about that axis."""
 
 
 def find_unmeasured(x: State, imu: ImuRow) -> None:
