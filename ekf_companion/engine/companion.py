@@ -272,11 +272,12 @@ class Companion:
             return
         height, separation = found
         decision, is_running = session.guard.decision, stream is not None and stream.is_running
-        publisher.frame.take_height(
-            height,
-            may_follow=decision.is_fused and is_running,
-            may_choose=decision.is_alternative,
-        )
+        if height is not None:
+            publisher.frame.take_height(
+                height,
+                may_follow=decision.is_fused and is_running,
+                may_choose=decision.is_alternative,
+            )
         if stream is not None and stream.told != self._told:
             self._told = stream.told
             session.following.note_jump()

@@ -22,6 +22,9 @@ _RATE_NS = 40_000_000
 """Between two of our estimates that are kept: on a line between them it is off by millimetres."""
 _KEPT = 64
 """Of them: two and a half seconds. What the autopilot says is not older, or no use."""
+_HELD = 20
+"""mm by which the height above home moves while the altitude beside it stays the same: that is sent
+in steps of 1 cm, so it is held. ArduPilot repeats its last place where it knows none."""
 _POSITION, _ATTITUDE = IDS["GLOBAL_POSITION_INT"], IDS["ATTITUDE"]
 _AT = [
     COLUMNS.index(name) - 1
@@ -62,6 +65,10 @@ class Comparison:
         self._position: Frame | None = None
         self._attitude: Frame | None = None
         self._yaw = math.nan
+        self._place = 0, 0, 0
+        """Latitude, longitude and altitude of the autopilot's last place that was another."""
+        self._above_home = 0
+        """The height above home that came with it, mm."""
 
     def keep(self, estimate: Estimate) -> None:
         """Keep an estimate of ours, if the last that was kept is old enough."""
@@ -80,8 +87,11 @@ class Comparison:
 
     def compare(
         self, said: AutopilotEstimate, clock: TimeBase, frame: AutopilotFrame
-    ) -> tuple[Height, Separation] | None:
-        """Return how the autopilot's newest position lies beside ours; None: it is not new."""
+    ) -> tuple[Height | None, Separation] | None:
+        """Return how the autopilot's newest position lies beside ours; None: it is not new.
+
+        It has no height while it repeats an old place: how far it is from ours still counts.
+        """
         self.seen = said.changes
         attitude = said.frame(_ATTITUDE)
         if attitude is not None and attitude is not self._attitude:
@@ -112,7 +122,15 @@ class Comparison:
             moving=ours.vel_n[:2],
             turning=self._acceleration(),
         )
+        if self._is_held(m):
+            return None, separation
         return Height(t_ns, m.alt * 1e-3, ours.alt, -ours.vel_n[2]), separation
+
+    def _is_held(self, m: Any) -> bool:
+        """Whether a GLOBAL_POSITION_INT repeats a place, while the vehicle climbs or sinks."""
+        if (place := (m.lat, m.lon, m.alt)) != self._place:
+            self._place, self._above_home = place, m.relative_alt
+        return abs(m.relative_alt - self._above_home) > _HELD
 
     def _turned(self, m: Any, clock: TimeBase) -> float:
         """Return what the autopilot's yaw is off ours at the same time, rad; NaN: not known."""

@@ -61,7 +61,10 @@ class Audit(Service):
         self._next_ns: dict[str, int] = {}
 
     def tick(self, now_ns: int) -> None:
-        """Count once a second; judge the rates five seconds after the last request."""
+        """Count once a second; judge the rates five seconds after the last request for them.
+
+        Those for other messages do not count: on a full line they take a minute.
+        """
         now_ns = quantise(now_ns)
         if self._steps and now_ns - self._steps[-1][0] < _STEP_NS:
             return
@@ -73,7 +76,8 @@ class Audit(Service):
                 LAYOUTS[number].name: (count - before.get(number, 0)) / span
                 for number, count in self._received.items()
             }
-        self._settled = 0 if self._requests.is_busy else self._settled + 1
+        is_asked = self._requests.is_under_way((*INERTIAL[:2], _GNSS))
+        self._settled = 0 if is_asked else self._settled + 1
         if self._settled > _STEPS:
             self._judge(now_ns)
 

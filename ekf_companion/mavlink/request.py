@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,10 +145,9 @@ class Requests(Service):
             for name in changed:
                 self.repeat(inertial or name if name == "HIGHRES_IMU" else name)
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a request is under way."""
-        return bool(self._wanted)
+    def is_under_way(self, names: Collection[str]) -> bool:
+        """Return whether one of some messages is still to be requested, or to be answered for."""
+        return any(request.name in names for request in self._wanted)
 
     @property
     def inertial(self) -> str:
@@ -157,8 +156,12 @@ class Requests(Service):
 
     def repeat(self, name: str) -> None:
         """Request once more a message that should come at its rate."""
-        if all(request.name != name for request in self._wanted):
-            self._wanted.append(_Request(name, self.expected_rate(name)))
+        self._ask_next(_Request(name, self.expected_rate(name)))
+
+    def _ask_next(self, one: _Request) -> None:
+        """Request it after the one under way, unless it waits already."""
+        if not self.is_under_way((one.name,)):
+            self._wanted.insert(1, one)
 
     def lower(self, name: str, measured: float) -> bool:
         """Request an inertial message of ArduPilot's at less than half of what comes, Hz.
@@ -169,9 +172,9 @@ class Requests(Service):
         rate = next((step for step in _STEPS if step < 0.5 * measured), _STEPS[-1])
         if rate >= self._granted.get(name, 0.0):
             return False
-        if all(request.name != name for request in self._wanted):
+        if not self.is_under_way((name,)):
             self._granted[name], self._is_lowered = rate, True
-            self._wanted.append(_Request(name, rate))
+            self._ask_next(_Request(name, rate))
             self._emit(
                 Noted(
                     f"{name} fills the link from the autopilot, and no fix comes through: "

@@ -86,6 +86,27 @@ def test_rule_6_inertial_samples_that_fill_the_line_are_requested_at_less_than_c
     assert times[1] < 20
 
 
+def test_rule_6_a_full_line_is_relieved_while_other_requests_wait_for_their_answers():
+    """An answer takes seconds there, all of them a minute, and no fix comes meanwhile."""
+    others = {f"SCALED_IMU{k}": 10.0 for k in (2, 3)} | {"DISTANCE_SENSOR": 10.0, "AIRSPEED": 10.0}
+    session, autopilot = met(ARDUPILOT, rates=RATES | others)
+    now, due, counted = 0, [], 0.0
+    while session.requests.expected_rate("HIGHRES_IMU") > 25.0 and now < 60 * SECOND:
+        now += 50 * MS
+        if now % SECOND == 0:
+            session.receive(autopilot.heartbeat(), now)
+        counted += 66.0 * 0.05
+        while counted >= 1.0:
+            counted -= 1.0
+            session.receive(autopilot.say("HIGHRES_IMU"), now)
+        session.tick(now)
+        due += [(now + 2500 * MS, one) for one in sent(session, "COMMAND_LONG")]
+        for _, command in [one for one in due if one[0] <= now]:
+            session.receive(autopilot.say("COMMAND_ACK", command=command.command, result=0), now)
+        due = [one for one in due if one[0] > now]
+    assert now < 30 * SECOND
+
+
 def test_rule_6_what_recovers_is_forgiven():
     """Rule 6."""
     slow = RATES | {"HIGHRES_IMU": 100.0}
