@@ -75,6 +75,8 @@ class Ekf3(Navigator):
         self._is_switched = False
         self._last_stamp = self._external_t = NEVER
         self._last_counter = 0
+        self._is_moved = False
+        """Whether the counter has moved since the last message that was taken."""
 
     @property
     def is_external(self) -> bool:  # type: ignore[override]
@@ -190,10 +192,15 @@ class Ekf3(Navigator):
         values, own = self.parameters, self.tuning
         t = m.time_usec * 1e-6 if stamp is None else stamp
         least = values.get("VISO_QUAL_MIN", own.quality_min)
-        if quality < least or 0.0 <= t - self._last_stamp < own.least_interval or self._t is None:
+        if quality < least:
+            return
+        # A moved counter is kept, though the message itself comes too soon after the last
+        self._is_moved |= m.reset_counter != self._last_counter
+        self._last_counter = m.reset_counter
+        if 0.0 <= t - self._last_stamp < own.least_interval or self._t is None:
             return
         self._last_stamp = t
-        is_reset, self._last_counter = m.reset_counter != self._last_counter, m.reset_counter
+        is_reset, self._is_moved = self._is_moved, False
         place = float(np.clip(stds[0], values.get("VISO_POS_M_NSE", own.position_floor), 100.0))
         turn = float(np.clip(stds[1], values.get("VISO_YAW_M_NSE", own.yaw_floor), 1.5))
         # Nothing is older than the horizon: what came too late counts as if it were of there

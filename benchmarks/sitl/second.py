@@ -21,7 +21,8 @@ _RATE = 20.0
 """Hz."""
 _OFF = 2.8
 """How far east of the truth it is, m."""
-_SIMSTATE = 164
+_SIMSTATE, _SIM_STATE = 164, 108
+"""Place and yaw; altitude."""
 
 
 class SecondCompanion:
@@ -52,8 +53,9 @@ class SecondCompanion:
 
     def _run(self) -> None:
         mav, next_beat, next_sent = self._link.mav, 0.0, 0.0
-        mav.command_long_send(1, 1, 511, 0, _SIMSTATE, 1e6 / _RATE, 0, 0, 0, 0, 0)
-        yaw, place = 0.0, None
+        for number in (_SIMSTATE, _SIM_STATE):
+            mav.command_long_send(1, 1, 511, 0, number, 1e6 / _RATE, 0, 0, 0, 0, 0)
+        yaw, place, height = 0.0, None, None
         while not self._is_ending.is_set():
             now = time.monotonic()
             if now >= next_beat:
@@ -65,12 +67,11 @@ class SecondCompanion:
                 if message.get_type() == "SIMSTATE":
                     lat, lon = message.lat * 1e-7, message.lng * 1e-7
                     place, yaw = (lat, lon), message.yaw
-                elif message.get_type() == "GLOBAL_POSITION_INT":
-                    self._height = message.relative_alt * 1e-3
-            if place is not None and now >= next_sent:
+                elif message.get_type() == "SIM_STATE":
+                    height = message.alt - float(HOME.alt)
+            if place is not None and height is not None and now >= next_sent:
                 next_sent = now + 1.0 / _RATE
                 n, e, _ = from_home(Places(*place, HOME.alt)).tolist()
-                height = getattr(self, "_height", 0.0)
                 mav.vision_position_estimate_send(
                     int(now * 1e6), n, e + _OFF, -height, 0.0, 0.0, math.remainder(yaw, math.tau)
                 )

@@ -9,6 +9,7 @@ from pathlib import Path
 from benchmarks.sitl.flight import Log, climb, vehicle
 from benchmarks.sitl.line import Line, dangers, pace
 from benchmarks.sitl.pilot import square
+from benchmarks.sitl.score import moved
 from benchmarks.sitl.second import SecondCompanion
 from benchmarks.sitl.simulator import ArduPilot, Simulator
 
@@ -39,6 +40,9 @@ def second(simulator: Simulator, folder: Path) -> Iterator[Line]:
     name = "second companion"
     told = log.told_after("poses|VISION_POSITION|another", log.marks["fault"])
     yield Line(name, "until the pilot reads of it", told, 5.0, " s")
+    assert log.flown is not None
+    found = moved(log.flown.truth, log.marks["fault"], after=_FAULT)
+    yield Line(name, "true motion, any axis", found, 0.5, " m")
     yield from _ours(name, log)
     yield pace(name, log)
 

@@ -23,7 +23,7 @@ request    what we request           audit       rates that come   clock       T
 commands   what is requested of us   parameters  what may be set   statustext  texts for the pilot
 guard      which parameters decide
 delivery   how late ODOMETRY arrives (lag: round trips; pacing: how many the line takes)
-second_source  others who send the autopilot poses
+second_source  others who send the autopilot poses (reset_counter: what ours bears beside them)
 
 Some modules are compiled (core.memory.signatures names them); the same files run as plain Python.
 """

@@ -98,6 +98,8 @@ def knows_odometry(family: Family, version: str) -> bool:
 
 POSES = ("ODOMETRY", "VISION_POSITION_ESTIMATE", "VISION_SPEED_ESTIMATE")
 """As which the estimate is sent: the first, or the others together."""
+RESET_COUNTER = dict(zip(POSES, (-3, -1, -1), strict=True))
+"""Where the reset counter lies in the payload of each, from its end."""
 
 
 def vision_position_estimate(estimate: Odometry) -> bytes:

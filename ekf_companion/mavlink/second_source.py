@@ -4,6 +4,7 @@ The autopilot fuses whatever comes: two sources by turns, each in a frame of its
 ArduCopter was 2.8 m off and changed between its filters. So one of two must not send. On the ground
 we do not. In flight we go on where the autopilot already flies by ours: silence would leave it with
 the other alone, in a frame that it has not followed so far, and anybody can send such a message.
+Then our counter becomes the other's, so that the autopilot stays with ours (:mod:`.reset_counter`).
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decision import Hold
 from ekf_companion.mavlink.event import Advised, Emit, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.guard import Guard
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.mavlink.reset_counter import ResetCounter
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
 
@@ -33,6 +36,17 @@ POSES = frozenset(
     )
 )
 """Messages that an autopilot may fuse beside our ODOMETRY, by their ids."""
+_COUNTED = frozenset(
+    IDS[name]
+    for name in (
+        "ODOMETRY",
+        "VISION_POSITION_ESTIMATE",
+        "GLOBAL_VISION_POSITION_ESTIMATE",
+        "VICON_POSITION_ESTIMATE",
+        "ATT_POS_MOCAP",
+    )
+)
+"""Those that go with ours to the same place, with a reset counter; one that has none counts as 0."""
 _FEW = 3
 _SOON_NS = 2 * SECOND_NS
 """So many within that time prove a sender that stays."""
@@ -70,6 +84,8 @@ class SecondSource(Service):
     def begin(self, peer: PeerFound) -> None:
         """Listen anew."""
         self.hold: Hold | None = None
+        self.counter = ResetCounter()
+        """The reset counter of what is sent."""
         self._heard: dict[tuple[int, int, int], deque[int]] = {}
         """When the last came, by system, component and message id."""
         self._other: tuple[int, int, int] | None = None
@@ -83,6 +99,8 @@ class SecondSource(Service):
         """Note a frame that is neither ours nor the autopilot's."""
         if frame.message_id not in POSES:
             return
+        if frame.message_id in _COUNTED:
+            self.counter.on_other(getattr(unpack(frame), "reset_counter", 0), now_ns)
         sender = frame.system_id, frame.component_id, frame.message_id
         if sender in self._heard or len(self._heard) < _KEPT:
             self._heard.setdefault(sender, deque(maxlen=_KEPT)).append(now_ns)
@@ -92,6 +110,8 @@ class SecondSource(Service):
         span_ns = _GONE_NS if self._is_flying() or self.hold is None else self.patience_ns
         for sender in [one for one in self._heard if now_ns - self._heard[one][-1] > span_ns]:
             del self._heard[sender]
+        if not self._heard:
+            self.counter.forget_other()
         there = [one for one, times in self._heard.items() if _is_steady(times)]
         self._other = self._other if self._other in there else min(there, default=None)
         if self._other is None or not self._guard.decision.is_fused:

@@ -28,7 +28,7 @@ from ekf_companion.mavlink.decode import Decoder, DecoderOptions, Family, aids
 from ekf_companion.mavlink.decode.external import RANGES
 from ekf_companion.mavlink.delivery import Delivery
 from ekf_companion.mavlink.discovery import Discovery
-from ekf_companion.mavlink.encode import POSES, SystemStatus, knows_odometry
+from ekf_companion.mavlink.encode import POSES, RESET_COUNTER, SystemStatus, knows_odometry
 from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.following import Following
 from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter, id_of
@@ -201,6 +201,8 @@ class Session:
         """Who sent the last frame of the autopilot."""
         self._is_pose_sent = False
         """Whether the last pose was sent; the velocity beside it goes with it."""
+        self._counter = 0
+        """Reset counter of the last pose that was sent."""
         self._held: Hold | None = None
         """What was announced last."""
         self._vehicle: PeerFound | None = None
@@ -486,12 +488,31 @@ class Session:
             if not self._is_pose_sent:
                 self.outbox.withhold(name, payload, now_ns)
                 return
+            payload = self._count(name, payload, now_ns)
             if name != POSES[0]:
                 self._note_old_ardupilot()
         elif name in MESSAGES and not self.global_position.may_send(now_ns):
             self.outbox.withhold(name, payload, now_ns)
             return
         self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
+
+    def _count(self, name: str, payload: bytes, now_ns: int) -> bytes:
+        """Return a pose or velocity with the reset counter that is sent at present."""
+        if not self.guard.decision.is_fused:
+            return payload
+        usual = payload[RESET_COUNTER[name]]
+        if name != POSES[-1]:
+            self._counter = self.second_source.counter.choose(
+                usual,
+                now_ns,
+                self.delivery.lag.last_ns,
+                is_followed=not self.following.state.apart,
+            )
+        if self._counter == usual:
+            return payload
+        changed = bytearray(payload)
+        changed[RESET_COUNTER[name]] = self._counter
+        return bytes(changed)
 
     def _note_old_ardupilot(self) -> None:
         """Take what is sent for fused, where the guard does not read by which parameters it is."""

@@ -2,10 +2,12 @@
 
 import pytest
 
+from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Advised, HoldChanged
 from ekf_companion.mavlink.guard import GuardOptions
+from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.session import Session, SessionOptions
-from tests.mavlink.conversation import ARDUPILOT, MS, SECOND, Voice
+from tests.mavlink.conversation import ARDUPILOT, MS, SECOND, Voice, sent
 from tests.mavlink.line import FUSED
 
 POSE = {"usec": 1, "x": 1.0}
@@ -154,3 +156,35 @@ def test_many_invented_senders_take_no_memory():
     for component in range(2, 190):
         room.go(0.1, Voice(1, component))
     assert len(room.session.second_source._heard) <= 16
+
+
+def published(room, count, *, usual=1):
+    """Return the reset counters of ODOMETRY that are sent 33 times a second."""
+    found = []
+    for _ in range(count):
+        room.now_ns += 30 * MS
+        payload = pack("ODOMETRY", time_usec=1, reset_counter=usual)
+        room.session.publish(Message("ODOMETRY", payload, False), room.now_ns)
+        found += [one.reset_counter for one in sent(room.session, "ODOMETRY")]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "theirs"),
+    [
+        ("VISION_POSITION_ESTIMATE", POSE, 0),
+        ("VISION_POSITION_ESTIMATE", {"usec": 1, "reset_counter": 7}, 7),
+        ("ODOMETRY", {"time_usec": 1, "reset_counter": 3}, 3),
+        ("ATT_POS_MOCAP", {"time_usec": 1}, 0),
+        ("VISION_SPEED_ESTIMATE", {"usec": 1, "reset_counter": 9}, 1),
+    ],
+)
+def test_in_flight_ours_takes_over_the_counter_of_poses_of_another(name, fields, theirs):
+    room = Room(is_flying=True)
+    assert published(room, 3) == [1, 1, 1]
+    room.go(2, Voice(1, 197), rate=2.0, name=name, fields=fields)
+    said = published(room, 3)
+    assert said[0] == 1
+    assert said[-1] == theirs
+    # and a jump of ours moves it all the same
+    assert published(room, 1, usual=2)[0] not in (said[-1], theirs)
