@@ -46,7 +46,7 @@ _COUNTED = frozenset(
         "ATT_POS_MOCAP",
     )
 )
-"""Those that go with ours to the same place, with a reset counter; one that has none counts as 0."""
+"""Those that go with ours to the same place; without a reset counter they count as with 0."""
 _FEW = 3
 _SOON_NS = 2 * SECOND_NS
 """So many within that time prove a sender that stays."""
