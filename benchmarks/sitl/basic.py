@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.sitl.companion import Companion
-from benchmarks.sitl.flight import SETTLED, Log, climb, to_ground, vehicle
-from benchmarks.sitl.line import Line, dangers, lead, pace, ratios
+from benchmarks.sitl.flight import SETTLED, Log, climb, hover, to_ground, vehicle
+from benchmarks.sitl.line import Line, dangers, lead, motion, pace, ratios
 from benchmarks.sitl.lock import alone
 from benchmarks.sitl.pilot import Pilot, figure_eight, square
 from benchmarks.sitl.recording import resumed_after
@@ -126,6 +126,7 @@ def fly_restarts(simulator: Simulator, folder: Path, times: int) -> Log:
     with vehicle(simulator, folder, dict(simulator.flown_on)) as (pilot, companion, log):
         climb(pilot, log)
         pilot.wait(3.0)
+        hover(simulator, pilot, log)
         for number in range(times):
             log.marks[f"kill {number}"] = pilot.t
             companion.kill()
@@ -141,9 +142,9 @@ def restarted(simulator: Simulator, folder: Path) -> Iterator[Line]:
     """Kill and restart the daemon in flight."""
     log = fly_restarts(simulator, folder / "restarts", _RESTARTS)
     assert log.flown is not None
-    name, error, truth = f"kill -9, {_RESTARTS} times", log.score("autopilot"), log.flown.truth
-    kills = tuple(moved(truth, log.marks[f"kill {k}"], after=9.9) for k in range(_RESTARTS))
-    yield Line(name, "true motion after a kill, any axis", max(kills), 0.5, " m", kills)
+    name, error = f"kill -9, {_RESTARTS} times", log.score("autopilot", "kill 0")
+    kills = [f"kill {number}" for number in range(_RESTARTS)]
+    yield motion(name, "true motion after a kill, any axis", log, kills, 9.9)
     yield Line(name, "largest horizontal error", error.horizontal_max, 1.0, " m")
     yield Line(name, "largest vertical error", error.vertical_max, 1.0, " m")
     longest = silence(log.flown.arrival, log.marks["kill 0"], log.marks["end"]).longest
@@ -164,6 +165,7 @@ def fly_switch(simulator: Simulator, folder: Path) -> Log:
     with vehicle(simulator, folder, dict(simulator.alternative)) as (pilot, _, log):
         climb(pilot, log)
         pilot.wait(5.0)
+        hover(simulator, pilot, log)
         simulator.change(pilot, is_into=True)
         log.marks["into"] = pilot.t
         pilot.wait(8.0)
@@ -191,9 +193,7 @@ def switched(simulator: Simulator, folder: Path) -> Iterator[Line]:
 
 def into(name: str, log: Log, after: float = 7.0) -> Line:
     """Return how far the vehicle went at the change to ODOMETRY."""
-    assert log.flown is not None
-    found = moved(log.flown.truth, log.marks["into"], after=after)
-    return Line(name, "true motion at the switch, any axis", found, 0.5, " m")
+    return motion(name, "true motion at the switch, any axis", log, ["into"], after)
 
 
 def fly_endurance(simulator: Simulator, folder: Path) -> Log:

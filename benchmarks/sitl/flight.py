@@ -174,6 +174,13 @@ def climb(pilot: Pilot, log: Log, settled: float = SETTLED) -> None:
     log.marks["begin"] = pilot.t
 
 
+def hover(simulator: Simulator, pilot: Pilot, log: Log, each: float = 10.0) -> None:
+    """Hover for as many spans as show how far it wanders by itself; note when each began."""
+    for number in range(simulator.calm):
+        log.marks[f"calm {number}"] = pilot.t
+        pilot.wait(each)
+
+
 def to_ground(pilot: Pilot, log: Log) -> None:
     """Return to home, land, and note when it lay there."""
     pilot.return_home()

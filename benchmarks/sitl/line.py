@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from benchmarks.sitl.flight import Log
-from benchmarks.sitl.score import Score, pooled, silence, untold_steps
+from benchmarks.sitl.score import Score, moved, pooled, silence, untold_steps
 
 FLOORS = {
     "horizontal": (0.1, " m"),
@@ -50,10 +50,35 @@ class Line(NamedTuple):
         if len(self.each) > 1:
             found += f" ({', '.join(f'{one:.3g}' for one in self.each)})"
         if self.error is not None and self.floor is not None:
-            found += f", {self.error:.2g}{self.floor[1]}"
-            limit += f" or {self.floor[0]:g}{self.floor[1]}"
+            if self.error != self.found:
+                found += f", {self.error:.2g}{self.floor[1]}"
+            limit += f" or {self.floor[0]:.3g}{self.floor[1]}"
         cells = (found, limit, verdict)
         return " | ".join((simulator, self.flight, self.quantity, *cells))
+
+
+def motion(flight: str, quantity: str, log: Log, marks: Iterable[str], after: float) -> Line:
+    """Return how far the vehicle truly went after each of some marks, the largest.
+
+    Where it hovered before, by :func:`.flight.hover`, as far as it went there in spans of the same
+    length is good too: it wanders so far by itself.
+
+    Args:
+        flight: Its name.
+        quantity: What is looked at.
+        log: What was noted.
+        marks: From when on.
+        after: For how long, s.
+    """
+    assert log.flown is not None
+    truth = log.flown.truth
+    found = tuple(moved(truth, log.marks[mark], after=after) for mark in marks)
+    calm = [
+        moved(truth, t, after=after) for mark, t in log.marks.items() if mark.startswith("calm")
+    ]
+    floor = (max(calm), " m by itself") if calm else None
+    worst = max(found)
+    return Line(flight, quantity, worst, 0.5, " m", found, worst if calm else None, floor)
 
 
 def pace(flight: str, *logs: Log) -> Line:

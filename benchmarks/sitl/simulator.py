@@ -50,6 +50,8 @@ class Simulator(ABC):
     receiver_off: float
     parts: ClassVar[Sequence[str] | None] = None
     """Parts that it can fly; None: all."""
+    calm: ClassVar[int] = 0
+    """Hovers of ten seconds before a switch or a kill, by which its own wandering is known."""
 
     def __init__(self, binary: Path, instance: int = 0) -> None:
         """Prepare it.
@@ -124,6 +126,8 @@ class Px4(Simulator):
     }
     alternative: ClassVar[Values] = {}
     receiver, receiver_on, receiver_off = "SIM_GPS_USED", 10, 0
+    # It wanders by half a metre in the hover
+    calm = 10
     parts = ("paths", "outage", "restart", "switch", "endurance", "reboot", "late", "links")
 
     def command(self, folder: Path, parameters: Mapping[str, float]) -> list[str]:

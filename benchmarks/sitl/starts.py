@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.sitl.basic import into, landing
-from benchmarks.sitl.flight import Log, climb, to_ground, vehicle
+from benchmarks.sitl.flight import Log, climb, hover, to_ground, vehicle
 from benchmarks.sitl.line import Line, dangers, pace
 from benchmarks.sitl.pilot import Pilot, line
 from benchmarks.sitl.place import from_home
@@ -80,6 +80,7 @@ def fly_late(simulator: Simulator, folder: Path, away: float) -> Log:
         companion.start()
         log.marks["started"] = pilot.t
         pilot.wait(_LEAD)
+        hover(simulator, pilot, log)
         _change_and_return(simulator, pilot, log)
     return log
 

@@ -236,7 +236,9 @@ class Announcer:
                 if is_lifted:
                     self.pilot.assume("guard", "")
                 at_ns = self._now_ns
-                self.pilot.on_state("guard", text, severity, text, at_ns, is_grave=is_lifted)
+                # A warning that was sent, once a minute at most, is taken back at once
+                is_grave = is_lifted or not is_bad
+                self.pilot.on_state("guard", text, severity, text, at_ns, is_grave=is_grave)
             case FollowingChanged(apart=""):
                 _log.info("The autopilot's own estimate is ours again")
                 self._tell("following", Severity.INFO, "autopilot follows again")

@@ -4,10 +4,10 @@ An autopilot takes the numbers of ODOMETRY for places in its own local frame, an
 latitude and longitude by its own projection. So they count from the origin that it has told. PX4
 learns an offset to ours while it fuses its receiver, but where it has just ceased to, it takes our
 numbers as they are. Its altitude is left alone: it compares heights with its own sensors', and one
-that was given an origin tells an altitude of 0. And ArduPilot on its own sensors takes the height from the
-barometer, above an altitude that its receiver said once: 4 m off after a cold start. It would climb
-by what ours is better at the moment it is switched to ODOMETRY. So heights are sent above its own
-datum, for as long as it is not ours anyway.
+that was given an origin tells an altitude of 0. And ArduPilot on its own sensors takes the height
+from the barometer, above an altitude that its receiver said once: 4 m off after a cold start. It
+would climb by what ours is better at the moment it is switched to ODOMETRY. So heights are sent
+above its own datum, for as long as it is not ours anyway.
 
 Sources: ArduPilot, ``Location::get_distance_NE``, ``NavEKF3_core::getLLH``, ``getOriginLLH``,
 ``selectHeightForFusion``, ``CorrectExtNavForSensorOffset``; PX4, ``MapProjection``,

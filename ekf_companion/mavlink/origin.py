@@ -13,8 +13,9 @@ Its altitude is asked for again and again: ``resetHeightDatum`` moves it, before
 global position, and flies no mission and no return. It takes the place of that start by
 SET_GPS_GLOBAL_ORIGIN. One that has an origin is asked for it, once: it reports it when it changes,
 and on request. Ours counts from it, and waits two seconds for it: PX4 learns an offset between its
-frame and ours only while it fuses its receiver, and whoever switches that off first, as must be, finds
-it at our numbers as they are. With the daemon started 40 m from home, its vehicle flew on by 40 m.
+frame and ours only while it fuses its receiver, and whoever switches that off first, as must be,
+finds it at our numbers as they are. With the daemon started 40 m from home, its vehicle flew on by
+40 m.
 
 That comes before the first ODOMETRY, and on the ground. PX4 1.18 that gets an origin while it fuses
 positions of ours counts the way from latitude and longitude 0 to the new place as the offset of
@@ -155,7 +156,7 @@ class OriginSetter(Service):
         self.is_settled = self.is_shown and self._is_counted_from()
 
     def _is_counted_from(self) -> bool:
-        """Return whether the autopilot's origin, as far as it must be known, can be counted from."""
+        """Return whether the autopilot's origin can be counted from, as far as it must be."""
         if self._peer is None or self._peer.family is not Family.ARDUPILOT:
             return self._peer is not None
         return self.theirs is not None and self._has_height and self._distant() is None
