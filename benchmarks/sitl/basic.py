@@ -244,7 +244,7 @@ def rebooted(simulator: Simulator, folder: Path) -> Iterator[Line]:
             time.sleep(SETTLED)
             simulator.stop()
             time.sleep(2.0)
-            simulator.start(folder, dict(simulator.flown_on))
+            simulator.start(folder, {**simulator.flown_on, **simulator.rebooted})
             pilot = Pilot(simulator.pilot)
             pilot.wait(SETTLED)
             pilot.close()

@@ -50,6 +50,8 @@ class Simulator(ABC):
     receiver_off: float
     parts: ClassVar[Sequence[str] | None] = None
     """Parts that it can fly; None: all."""
+    rebooted: ClassVar[Values] = {}
+    """What its sensors do otherwise after a reboot: those of a device never repeat themselves."""
     calm: ClassVar[int] = 0
     """Hovers of ten seconds before a switch or a kill, by which its own wandering is known."""
 
@@ -176,6 +178,8 @@ class ArduPilot(Simulator):
         **{f"EK3_SRC2_{part}": 6 for part in _PARTS},
     }
     receiver, receiver_on, receiver_off = "SIM_GPS1_ENABLE", 1, 0
+    # Else its messages at rest are the same bytes, and count as heard before
+    rebooted: ClassVar[Values] = {"SIM_ACC1_BIAS_X": 0.02, "SIM_ACC1_BIAS_Y": 0.01}
 
     def __init__(self, binary: Path, instance: int = 0) -> None:
         """Prepare it, with the ports of its instance."""

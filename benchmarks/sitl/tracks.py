@@ -110,7 +110,7 @@ def from_px4(log: Path, recordings: Sequence[Path]) -> Flown:
     return Flown(
         truth=track("_groundtruth"),
         autopilot=track(""),
-        **_ours(odometry, by_px4, None, arrived),
+        **_ours(odometry, by_px4, (local["timestamp"] * 1e-6, _px4_origin(local)), arrived),
         accel_bias=accel,
         own_resets=_moved(local),
         dead_reckoning=_inertial(topics.get(("estimator_status_flags", 0))),
@@ -212,7 +212,7 @@ def _track(motion: Column, attitude: Column, origin: Places) -> Track:
 def _ours(
     odometry: Odometry | None,
     project: Projection,
-    origins: tuple[Array, Places] | None,
+    origins: tuple[Array, Places],
     arrived: tuple[Array, Array] | None,
 ) -> dict[str, Any]:
     """Return what of ``Flown`` is about ODOMETRY.
@@ -220,8 +220,7 @@ def _ours(
     Args:
         odometry: All that was recorded.
         project: The autopilot's projection.
-        origins: Times (s) and places of the autopilot's origin; None: the autopilot learns the
-            offset between its origin and ours, as PX4 does.
+        origins: Times (s) and places of the autopilot's origin.
         arrived: Stamps of what the autopilot logged as arrived, and when that was, s; None: it
             logs nothing, and all that was sent counts as arrived.
     """
@@ -239,9 +238,8 @@ def _ours(
     if arrived is not None and len(arrived[0]):
         rows, places = match(sent.t, arrived[0])
         taken, arrival = sent.only(rows), arrived[1][places]
-    home = (np.zeros(1), Places(*(np.array([one]) for one in HOME)))
-    own = sent.origin or latest(sent.t, *(origins or home))
-    read = latest(taken.t, *origins) if origins else taken.origin or latest(taken.t, *home)
+    own = sent.origin or latest(sent.t, *origins)
+    read = latest(taken.t, *origins)
     return {
         "ours": _placed(sent, project, own) if len(sent.t) else None,
         "taken": _placed(taken, project, read) if len(taken.t) else None,
