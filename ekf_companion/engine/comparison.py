@@ -130,7 +130,7 @@ class Comparison:
         """Whether a GLOBAL_POSITION_INT repeats a place, while the vehicle climbs or sinks."""
         if (place := (m.lat, m.lon, m.alt)) != self._place:
             self._place, self._above_home = place, m.relative_alt
-        return abs(m.relative_alt - self._above_home) > _HELD
+        return bool(abs(m.relative_alt - self._above_home) > _HELD)
 
     def _turned(self, m: Any, clock: TimeBase) -> float:
         """Return what the autopilot's yaw is off ours at the same time, rad; NaN: not known."""
