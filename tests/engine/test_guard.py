@@ -159,6 +159,17 @@ def test_no_odometry_at_all_leaves_where_both_would_be_fused(cycles, said, kind)
     assert withheld == len(link.recorded("ODOMETRY")) > 50
 
 
+def test_a_warning_is_taken_back_at_once_though_the_same_was_said_within_the_minute(cycles):
+    """The two parameters of a switch to ODOMETRY come one after the other."""
+    link = Link(Kind.PX4)
+    link.fly(
+        cycles, {3.0: link.set({"EKF2_EV_CTRL": 15}), 5.0: link.set({"EKF2_GPS_CTRL": 0})}.items()
+    )
+    texts = [unpack(f).text for _, f in link.sent if f.message_id == IDS["STATUSTEXT"]]
+    said = [text.split(b":", 1)[1] for text in texts if b"ODOMETRY" in text]
+    assert [b"no ODOMETRY" in text for text in said] == [False, True, False]
+
+
 @KINDS
 def test_ours_alone_is_streamed_to_be_flown_on(cycles, kind):
     assert Link(kind, BOTH[kind] | LIFTED[kind]).fly(cycles).times("ODOMETRY")
