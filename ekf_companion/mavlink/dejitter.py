@@ -99,14 +99,11 @@ class Dejitter:
         self._cycles = 0
         self._left = LINE
 
-    def smooth(self, stamp_us: int) -> int | None:
-        """Return the time of a sample, ns, later than all before; None if it came out of order.
-
-        While stamps are being corrected, one that is not later than the one before is out of order.
-        """
+    def smooth(self, stamp_us: int) -> int:
+        """Return the time of a sample, ns: later than all before, unless its stamp is not."""
         now = stamp_us * 1000
         if now <= self.last:
-            return None if self.is_active else now
+            return self._smooth_late(now)
         if now - self.last > _LONGEST:
             self._learn_anew()
         self.last = now
@@ -139,6 +136,13 @@ class Dejitter:
             out = max(self._out + 1, now)
         self._out = out
         return out
+
+    def _smooth_late(self, now: int) -> int:
+        """Return the time of a sample that comes after later ones: its cycle by the line of now."""
+        if not self.is_active:
+            return now
+        cycles = math.floor((now - self._grid) * self._per_cycle + _EARLY)
+        return self._grid + round(cycles * self.period) + self._half
 
     def _learn(self, now: int) -> None:
         """Seek a period to which the stamps keep."""

@@ -22,7 +22,7 @@ from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
 from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.decoder import Decoder
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
-from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, OUT_OF_ORDER, PRESSURE, Inertial
+from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, PRESSURE, Inertial
 from ekf_companion.mavlink.decode.state import FieldState, PressureState
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import parsed
@@ -278,14 +278,11 @@ class PayloadReader:
                 return True
         if self.imu.sources.sole != 0:
             self.imu.sources.admit(0, t_ns)
-        sampled = t_ns if self.imu.dejitter is None else self.imu.dejitter.smooth(t_us)
-        if sampled is None:
-            self.decoder.refused[f"IMU: {OUT_OF_ORDER}"] += 1
-        else:
-            t_ns = sampled
-            i = self._begin_row(t_ns, IMU_ROW)
-            self._put_vector(i, 0, gx, gy, gz)
-            self._put_vector(i, 3, ax, ay, az)
+        if self.imu.dejitter is not None:
+            t_ns = self.imu.dejitter.smooth(t_us)
+        i = self._begin_row(t_ns, IMU_ROW)
+        self._put_vector(i, 0, gx, gy, gz)
+        self._put_vector(i, 3, ax, ay, az)
         if has_field and not is_zero:
             self._read_field(t_ns, mx, my, mz)
         elif has_field and self.mag.last:

@@ -361,7 +361,7 @@ class Session:
         self.received[number] += 1
         is_old = self.sequence.count(frame.sequence, now_ns, self.past.is_late)
         if self.past.is_in_place:
-            self.decoder.clock.confirm()
+            self.decoder.confirm()
         if (handlers := self.peer_routes.get(number)) is not None:
             self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:

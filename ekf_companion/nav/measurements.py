@@ -102,7 +102,7 @@ def make_row(t_ns: int, kind: Kind, *values: float | None) -> Row:
 
 
 _IMU = int(Kind.IMU)
-_REST_OF_SAMPLE = (0.0,) * (WIDTH - 10)
+_REST_OF_SAMPLE = (0.0,) * (WIDTH - 11)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,9 +145,11 @@ class ImuSample(NamedTuple):
     """By how much the unit before was wrong until then, rad."""
     gained: float = 0.0
     """m/s."""
+    is_late: float = 0.0
+    """1: others before it had later stamps, and the clock goes on; 0: the stamps alone tell."""
 
     def row(self) -> Row:
-        """Return the row [gyro x y z, accel x y z, std of gyro and accel, turned, gained]."""
+        """Return the row [gyro x y z, accel x y z, std of both, turned, gained, is late]."""
         return self.t_ns, _IMU, self[1:] + _REST_OF_SAMPLE
 
 

@@ -66,9 +66,10 @@ class Repetition:
             self._last, self._runs, self._equal = [0.0] * 6, [0] * 6, [0] * 6
             self._steady, self._leapt = [0.0] * 3, [0.0] * 3
             self._moved, self._then, self._field = [0] * 6, [0.0] * 54, [0.0] * 3
+            self._beside = [0] * 6
         for axis in range(6):
             self._last[axis] = math.nan
-            self._runs[axis] = self._equal[axis] = self._moved[axis] = 0
+            self._runs[axis] = self._equal[axis] = self._moved[axis] = self._beside[axis] = 0
         for axis in range(3):
             self._field[axis] = 0.0
             self._steady[axis] = self._leapt[axis] = math.nan
@@ -95,14 +96,10 @@ class Repetition:
             return ZERO
         if self._is_spike(gx, gy, gz):
             return SPIKE
-        is_any = self._count(0, gx)
-        is_any |= self._count(1, gy)
-        is_any |= self._count(2, gz)
-        is_any |= self._count(3, ax)
-        is_any |= self._count(4, ay)
-        is_any |= self._count(5, az)
+        equal = self._count(0, gx) + self._count(1, gy) + self._count(2, gz)
+        equal += self._count(3, ax) + self._count(4, ay) + self._count(5, az)
         self._pairs += 1
-        if not is_any:
+        if equal == 0:
             self._since_us = t_us
             if self._pairs >= 2 * _MEMORY:
                 self._pairs //= 2
@@ -112,6 +109,8 @@ class Repetition:
         rates = forces = 0
         is_large = False
         for axis in range(6):
+            if self._runs[axis] > 0:
+                self._beside[axis] += equal - 1
             if self._is_silent(axis):
                 if axis < 3:
                     rates += 1
@@ -190,21 +189,26 @@ class Repetition:
         self._steady[0], self._steady[1], self._steady[2] = gx, gy, gz
         return False
 
-    def _count(self, axis: int, value: float) -> bool:
-        """Count whether an axis repeats its last value; return whether it does."""
+    def _count(self, axis: int, value: float) -> int:
+        """Count whether an axis repeats its last value; return 1 if it does."""
         if value != self._last[axis]:
             self._last[axis] = value
-            self._runs[axis] = self._moved[axis] = 0
-            return False
+            self._runs[axis] = self._moved[axis] = self._beside[axis] = 0
+            return 0
         self._runs[axis] += 1
         self._equal[axis] += 1
-        return True
+        return 1
 
     def chance(self) -> float:
-        """Return the logarithm of how likely it is that each axis still measures: of the least."""
+        """Return the logarithm of how likely it is that each axis still measures: of the least.
+
+        An axis repeats itself as often as the others do meanwhile: at rest, with coarse digits.
+        """
         least = 0.0
         for axis in range(6):
-            least = min(least, self._chance(axis))
+            run = self._runs[axis]
+            beside = (self._beside[axis] + 1.0) / (5.0 * run + 2.0)
+            least = min(least, max(self._chance(axis), run * log(beside)))
         return least
 
     def _chance(self, axis: int) -> float:

@@ -95,10 +95,10 @@ def of_telemetry(
 
     A stamp that leaps, or a clock that is set back, again and again, is one out of order too.
     """
-    from ekf_companion.mavlink.decode.inertial import OUT_OF_ORDER, REPEATED
+    from ekf_companion.mavlink.decode.inertial import REPEATED
 
-    repeated, back = (refused.get(f"refused: IMU: {why}", 0) for why in (REPEATED, OUT_OF_ORDER))
+    repeated = refused.get(f"refused: IMU: {REPEATED}", 0)
     leaps = sum(refused.get(f"refused: {one}: stamp leaps", 0) for one in INERTIAL)
-    total = counts.get(Kind.IMU, 0) + repeated + back + leaps
-    back += leaps + refused.get("refused: clock set back", 0)
+    total = counts.get(Kind.IMU, 0) + repeated + leaps
+    back = leaps + refused.get("refused: clock set back", 0)
     return StampCount(total, repeated, back, shuffled_share=shuffled_share)

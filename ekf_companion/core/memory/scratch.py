@@ -31,6 +31,8 @@ class ImuRow:
     """By how much the unit before was wrong in all, rad."""
     gained: Real
     """m/s."""
+    is_late: Real
+    """Its stamp is behind, and the clock goes on."""
 
 
 @struct

@@ -12,7 +12,8 @@ An inertial stamp is believed when its neighbours confirm it. One that leaps ahe
 second: if the stamps go on from it, samples were lost; if they go on from before, it was wrong, or
 it came early, and then there is room for it when they reach it. Late samples fill holes; samples
 that are all behind the newest and fill none, one interval after another, are of a clock that was
-set back.
+set back, unless they show the motion of their stamps once more: then they are of a second path. Of
+messages it is known by their arrival whether they are late, or the clock may have been set back.
 
 Rows, snapshots and cursor only ever change together: so one class holds them, in a long file.
 """
@@ -47,6 +48,10 @@ from cython.cimports.ekf_companion.core.memory.state import BLOCK
 from cython.cimports.ekf_companion.core.order import step
 from cython.cimports.ekf_companion.core.order.events import compare, is_sane
 from cython.cimports.ekf_companion.core.order.restart import is_sound, recover
+from cython.cimports.ekf_companion.core.order.second_path import (
+    inflate_by_second_path,
+    weigh_second_path,
+)
 from cython.cimports.ekf_companion.core.order.stamps import Held, add, remove
 from cython.cimports.ekf_companion.core.output.estimate import (
     find_reasons,
@@ -78,8 +83,13 @@ AHEAD = cython.declare(cython.Py_ssize_t, 16)
 """Samples that wait for another, at most."""
 BEHIND = cython.declare(cython.Py_ssize_t, 1024)
 """Events that wait until it is known whether the clock was set back, at most."""
+IS_LATE = cython.declare(cython.Py_ssize_t, 10)
+"""Place of that in an inertial sample's values."""
 SURE = cython.declare(cython.Py_ssize_t, 8)
-"""So many samples in a row that are behind and find no room mean that the clock was set back."""
+"""So many samples in a row that are behind and find no room tell whether the clock was set back."""
+CERTAIN = cython.declare(cython.double, 6.9)
+"""Log-likelihood by which they are of a second path: odds of a thousand, for if they are not, some
+motion is lost that no sigma has. A clock that is set in doubt leaves the doubt in P."""
 ROOM = cython.declare(cython.double, 1.9)
 """Intervals between two samples, between which there is room for another: one was lost or late."""
 ORDERLY = cython.declare(cython.double, 1e9)
@@ -163,7 +173,7 @@ class Timeline:
         self.counters = np.zeros((len(self.delay), 8), dtype=np.int64)
         self.ahead = Held(AHEAD)
         self.behind = Held(BEHIND)
-        self.interval = self.late_t = self.behind_t = self.behind_first = 0.0
+        self.interval = self.late_t = self.behind_t = self.behind_first = self.second_path = 0.0
         self.has_epoch = False
         self.is_restored = False
         self.is_set = False
@@ -194,6 +204,7 @@ class Timeline:
         self.stamp_ns = 0
         self.behind.size = 0
         self.behind_samples = 0
+        self.second_path = 0.0
         self.is_leaping = False
         while self.ahead.size > 0:
             self._recount(self.ahead, 0, enums.ARRIVAL_STRAY)
@@ -404,12 +415,14 @@ class Timeline:
             # the same whichever event comes first, and near enough for exact doubles
             self.epoch_ns = t_ns // EPOCH_STEP * EPOCH_STEP
             self.has_epoch = True
-        if self.is_set:
+        t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch_ns)
+        if self.is_set and self.behind.size == 0:
             # which time it is now, the next inertial sample says
             if kind != enums.KIND_IMU:
                 return enums.ARRIVAL_STALE
-            self._set_clock(t_ns)
-        t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch_ns)
+            if t > self.newest or t < self.newest - self.window or t <= self.oldest:
+                self._set_clock(t_ns)
+                t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch_ns)
 
         # Too old to go back to?
         if self.size == self.capacity or self.snaps == self.most_snaps:
@@ -428,12 +441,15 @@ class Timeline:
                 self.size = 0
 
         # Do its neighbours confirm its stamp?
+        elif self.is_set and t > self.newest:
+            return self._judge_clock(t_ns, values)
         elif t > self.reach:
             if not self._is_confirmed(t):
                 return self._hold(t_ns, values)
             self._release(t)
         elif t <= self.newest:
             return self._go_behind(t_ns, t, values, is_stale)
+        self.second_path = 0.0
         if self.behind.size > 0:
             self._flush()
         self._learn_interval(t - self.newest)
@@ -572,22 +588,30 @@ class Timeline:
     def _go_behind(self, t_ns: int, t: float, values: Numbers, is_stale: bool) -> int:
         """Insert a sample that is not the newest, unless it may be of a clock that was set back.
 
-        Samples that find no room wait, with all that came since. When SURE of them have followed
-        one another by the interval, it was: no stream has room for so many that are merely late.
+        Samples that find no room wait, with all that came since, until SURE of them have followed
+        one another by the interval: no stream has room for so many that are merely late.
         """
+        if values[IS_LATE] != 0.0 and not is_stale and not self.is_set:
+            self._flush()
+            return self._fit(t_ns, t, enums.KIND_IMU, values)
         if is_stale:
             self.lost += 1
             if self.lost >= LOST_AFTER:
                 self._restart()
                 return enums.ARRIVAL_STALE
         elif self._is_known(t, values):
+            if self.is_set:
+                self.is_set = False
+                self._flush()
             return enums.ARRIVAL_DUPLICATE
-        elif self._has_room(t):
+        elif not self.is_set and self._has_room(t):
             self.late_t = self.newest
             self._flush()
             return self._fit(t_ns, t, enums.KIND_IMU, values)
         step = t - self.behind_t
         if self.behind.size > 0 and not 0.0 < step <= self.reach - self.newest:
+            if self.is_set:
+                return self._judge_clock(t_ns, values)
             self._flush()
         result = enums.ARRIVAL_STALE if is_stale else enums.ARRIVAL_TAKEN
         if not add(self.behind, t_ns, enums.KIND_IMU, values, result):
@@ -604,10 +628,15 @@ class Timeline:
         if self.behind_samples < SURE:
             return result
         usual = (SURE - 1) * self.interval
-        if 0.5 * usual <= t - self.behind_first <= 1.5 * usual:
+        if self.is_set or 0.5 * usual <= t - self.behind_first <= 1.5 * usual:
             return self._follow_clock()
         self._flush()
         return result
+
+    def _judge_clock(self, t_ns: int, values: Numbers) -> int:
+        """Decide by the samples that wait whether the clock was set, then insert another."""
+        self._follow_clock()
+        return self._place(t_ns, enums.KIND_IMU, values)
 
     def _is_known(self, t: float, values: Numbers) -> bool:
         """Return whether a sample is a copy of one that is in the window."""
@@ -618,12 +647,27 @@ class Timeline:
         return False
 
     def _follow_clock(self) -> int:
-        """Go on by a clock that was set back, from the first event that came by it."""
+        """Go on by a clock that was set back, from the first event that came by it.
+
+        Unless what came is of a second path: then it is late.
+        """
+        result = enums.ARRIVAL_TAKEN
+        offset = self.delay[enums.KIND_IMU] + self.epoch_ns
+        self.second_path += weigh_second_path(self.rows, self.size, self.behind, offset)
+        if self.second_path > CERTAIN:
+            self.is_set = False
+            self._flush()
+            return result
+        if not self.is_set:
+            self.counters[enums.KIND_RESTART, enums.ARRIVAL_RESTARTED] += 1
         events = self.behind
         self.behind = Held(BEHIND)
+        then = 0
+        begin = self._time_of(events, 0)
+        while then < self.snaps - 1 and self.snapshots[then + 1].t <= begin:
+            then += 1
+        inflate_by_second_path(self.x, address(self.snapshots[then]), self.second_path)
         self._set_clock(events.t_ns[0])
-        self.counters[enums.KIND_RESTART, enums.ARRIVAL_RESTARTED] += 1
-        result = enums.ARRIVAL_TAKEN
         for i in range(events.size):
             result = self._place(events.t_ns[i], events.kind[i], events.values[i])
             if i < events.size - 1:

@@ -20,7 +20,7 @@ from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.past_frames import PastFrames
 from ekf_companion.mavlink.timebase import Step, TimeBase
-from ekf_companion.nav.measurements import Restart
+from ekf_companion.nav.measurements import ImuSample, Measurement, Restart
 
 HELD = 1024
 """Frames that wait until it is known what the clock did, at most; fewer come in that time."""
@@ -70,6 +70,8 @@ class Decoder(DecoderState):
         }
         self.readers = {IDS[name]: reader for name, reader in readers.items()}
         self.held: list[tuple[Frame, Measurements]] = []
+        self._is_confirmed = False
+        """Whether the clock goes on, of which the frames that are held are behind."""
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
@@ -159,7 +161,7 @@ class Decoder(DecoderState):
 
     def pass_again(self, past: PastFrames) -> None:
         """Take into account that a frame came again: the clock goes on as it did."""
-        self.context.clock.confirm()
+        self.confirm()
         if past.is_second_path and not past.is_named:
             past.is_named = True
             self.notes.append(
@@ -167,6 +169,11 @@ class Decoder(DecoderState):
                 f"{past.lag_us * 1e-6:.2f} s later: each counts once; look for a second link or a "
                 "router that leads here"
             )
+
+    def confirm(self) -> None:
+        """Take into account that the clock goes on as it did: what is behind is late."""
+        self.context.clock.confirm()
+        self._is_confirmed = True
 
     def decode(self, frame: Frame, now_ns: int | None = None) -> Measurements:
         """Return the measurements of a frame: none, one or several.
@@ -187,12 +194,19 @@ class Decoder(DecoderState):
                 return [out[0], *(found for measurements in again for found in measurements)]
             return out
         if self.context.clock.is_behind and len(self.held) < HELD:
+            self._is_confirmed = self._is_confirmed and bool(self.held)
             self.held.append((frame, out))
             return []
         if self.held:
-            out = [*(found for _, late in self.held for found in late), *out]
+            late = [found for _, measurements in self.held for found in measurements]
+            out = [*(map(_late, late) if self._is_confirmed else late), *out]
             self.held = []
         return out
+
+
+def _late(measurement: Measurement) -> Measurement:
+    """Return a measurement as one that is late for certain."""
+    return measurement._replace(is_late=1.0) if isinstance(measurement, ImuSample) else measurement
 
 
 def _skip(frame: Frame) -> Measurements:

@@ -29,7 +29,7 @@ PRESSURE = 0x200
 """Bits of HIGHRES_IMU.fields_updated."""
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
-REPEATED, OUT_OF_ORDER = "stamp repeated", "out of order"
+REPEATED = "stamp repeated"
 """Why a sample is refused for its stamp."""
 ANOTHER_UNIT, UNIT_CHANGED = "another unit is used", "IMU: unit changed"
 """Why a sample is not used; and the count of changes."""
@@ -384,11 +384,7 @@ class Inertial(InertialState):
         self.last_us, t_ns = t_us, t_us * 1000
         sample = self._in_vehicle(t_ns, sample)
         if self.dejitter is not None:
-            sampled = self.dejitter.smooth(t_us)
-            if sampled is None:
-                self._context.refuse(f"IMU: {OUT_OF_ORDER}")
-                return t_ns
-            t_ns = sampled
+            t_ns = self.dejitter.smooth(t_us)
         out.append(ImuSample(t_ns, *sample, *self.lanes.take_std()))
         return t_ns
 
