@@ -2,7 +2,8 @@
 
 The frames of simulated flights are delivered at changed times: a link stalls and brings a few of
 its frames afterwards, recorded frames come once more from the autopilot's address, the same stream
-comes by two paths, or by a slower one from some time on. The daemon's core receives them; its
+comes by two paths, or by a slower one from some time on and that one may have samples of its
+own. The daemon's core receives them; its
 estimates are compared with the truth at their stamps.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import random
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,12 +20,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from fastcrc import crc16
 
 from benchmarks.document import table, write
 from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.intake import open_live
 from ekf_companion.logs import tlog
+from ekf_companion.mavlink.frame import id_of
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import COLUMNS, Status
 from sim_autopilot.__main__ import app
@@ -46,6 +51,7 @@ RIGHT = np.array([2.0, 2.0])
 AFTER = 2.0
 """They are so long after the trouble, s."""
 SECOND_NS = 1_000_000_000
+FIXES = (IDS["GPS_RAW_INT"], IDS["GPS2_RAW"])
 
 
 class Trouble(NamedTuple):
@@ -141,6 +147,32 @@ def change(apart: float, missing: float, frames: list[Delivered]) -> list[Delive
     return sorted([*first, *slower], key=lambda one: one[0])
 
 
+def own_samples(apart: float, frames: list[Delivered]) -> list[Delivered]:
+    """Change to a slower path that was sent samples of its own, each numbered by itself.
+
+    As an autopilot does on two ports: of every second frame of a kind each is sent one, but the
+    receiver's fixes come by both.
+    """
+    begin, count = _begin(frames), Counter[int]()
+    paths: tuple[list[Delivered], list[Delivered]] = [], []
+    for at, frame, _ in frames:
+        number = id_of(frame)
+        count[number] += 1
+        for path in (0, 1):
+            if number in FIXES or count[number] % 2 == path:
+                numbered = _numbered(frame, len(paths[path]))
+                paths[path].append((at + round(apart * SECOND_NS) * path, numbered, path))
+    first = [one for one in paths[0] if one[0] < begin]
+    return sorted([*first, *(one for one in paths[1] if one[0] >= begin)], key=lambda one: one[0])
+
+
+def _numbered(frame: bytes, sequence: int) -> bytes:
+    """Return a frame of MAVLink 2 with another sequence number."""
+    body = frame[1:4] + bytes([sequence & 0xFF]) + frame[5 : 10 + frame[1]]
+    crc = crc16.mcrf4xx(body + CRC_EXTRAS[id_of(frame)])
+    return frame[:1] + body + crc.to_bytes(2, "little")
+
+
 def troubles() -> Iterator[Trouble]:
     """Yield all that are tried."""
     for span in (0.3, 0.6, 1.0, 1.6, 2.0):
@@ -163,6 +195,9 @@ def troubles() -> Iterator[Trouble]:
         for missing in (0.0, 0.2):
             name = f"a path {apart:g} s slower, after one that loses {missing:.0%}"
             yield Trouble(name, partial(change, apart, missing), apart)
+    for apart in (0.2, 0.8, 1.2, 1.6, 2.0, 2.5):
+        name = f"a path {apart:g} s slower, with samples of its own"
+        yield Trouble(name, partial(own_samples, apart), apart)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

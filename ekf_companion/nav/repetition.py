@@ -9,7 +9,7 @@ import math
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import log
+from cython.cimports.libc.math import exp, log
 
 from ekf_companion.nav.arrays import Array, Column, Const, Mask, Stamps, Table
 from ekf_companion.nav.earth import STANDARD_GRAVITY
@@ -202,13 +202,21 @@ class Repetition:
     def chance(self) -> float:
         """Return the logarithm of how likely it is that each axis still measures: of the least.
 
-        An axis repeats itself as often as the others do meanwhile: at rest, with coarse digits.
+        At rest, with coarse digits, an axis repeats itself as often as the others do meanwhile,
+        beside those that have not changed at all: they may be stuck too.
         """
         least = 0.0
         for axis in range(6):
-            run = self._runs[axis]
-            beside = (self._beside[axis] + 1.0) / (5.0 * run + 2.0)
-            least = min(least, max(self._chance(axis), run * log(beside)))
+            chance = self._chance(axis)
+            if chance < least:
+                run = self._runs[axis]
+                usual = exp(chance / run)
+                equal, pairs = self._beside[axis], 5 * run
+                for other in range(6):
+                    if other != axis and self._runs[other] >= run:
+                        equal, pairs = equal - run, pairs - run
+                beside = (equal + usual) / (pairs + 1.0)
+                least = min(least, max(chance, run * log(beside)))
         return least
 
     def _chance(self, axis: int) -> float:

@@ -146,6 +146,35 @@ def test_a_clock_that_is_set_back_is_found_out_by_the_samples_themselves(by_ns):
     assert held.count(Kind.IMU) == 7
 
 
+@pytest.mark.parametrize("slower_ns", [800_000_000, 1_600_000_000])
+def test_samples_that_a_slower_path_has_between_those_that_were_heard_are_late(slower_ns):
+    events = some_events(12.0)
+    is_imu = events.kind == Kind.IMU
+    own = is_imu & (np.cumsum(is_imu) % 2 == 0)
+    change_ns = events.t_ns[0] + 9_000_000_000
+    arrival = events.t_ns + slower_ns * own
+    is_heard = np.where(own, arrival >= change_ns, ~is_imu | (events.t_ns < change_ns))
+    order = np.argsort(arrival, kind="stable")
+    timeline, direct = a_timeline(), a_timeline()
+    put(timeline, events.take(order[is_heard[order]]))
+    put(direct, events)
+    x, y = as_state(timeline.block()), as_state(direct.block())
+    assert timeline.resets == 0
+    assert abs(np.array(x.pos_n) - np.array(y.pos_n)).max() < 0.1
+    assert abs(np.array(x.q_nb) - np.array(y.q_nb)).max() < 0.005
+
+
+def test_what_is_late_for_certain_sets_no_clock_however_alike_all_samples_are():
+    timeline = a_timeline()
+    at_rest = np.array([0.0] * 5 + [-9.8] + [0.0] * 7)
+    for i in range(300):
+        timeline.insert(10_000_000 * i, Kind.IMU, at_rest)
+    at_rest[10] = 1.0
+    for i in range(200, 300):
+        timeline.insert(10_000_000 * i - 5_000_000, Kind.IMU, at_rest)
+    assert timeline.resets == 0
+
+
 def test_no_burst_of_late_samples_is_taken_for_a_clock_that_was_set_back():
     events = some_events()
     imu = np.flatnonzero(events.kind == Kind.IMU)
@@ -246,7 +275,9 @@ def test_a_clock_that_is_set_moves_the_stamps_and_counts_as_a_reset():
                 goes_on = np.array([1.0] + [0.0] * 12)
                 assert timeline.insert(0, Kind.RESTART, goes_on) == Arrival.RESTARTED
             stamp = int(regular[n]) + (by if n >= half else 0)
-            assert timeline.insert(stamp, Kind.IMU, values) == Arrival.ESTIMATED
+            arrival = timeline.insert(stamp, Kind.IMU, values)
+            is_judged = by and half <= n < half + 7  # eight show that it is no second path
+            assert arrival == (Arrival.TAKEN if is_judged else Arrival.ESTIMATED)
     told = moved.block()
     assert (as_state(told).resets, as_state(told).reset_reason) == (1.0, Reset.CLOCK)
     expected = as_state(straight.block())

@@ -864,6 +864,19 @@ def test_after_a_restart_the_source_that_was_in_use_is_not_waited_for():
     assert warm.decoder.ranks == (0, 1, 0, 0)
 
 
+def test_after_the_clock_was_set_back_no_better_source_is_waited_for():
+    peer = Peer(Family.ARDUPILOT)
+    peer.decoder.prefer(1, 1, 1, 0)
+    before = range(5_000_000, 8_000_000, 20_000)
+    count = 0
+    for t_us in (*before, *range(7_000_000, 9_000_000, 20_000)):
+        found = peer.say("raw_imu", time_usec=t_us, zacc=-1000)
+        count += sum(type(one) is ImuSample for one in found)
+    assert peer.decoder.refused["clock set back"] == 1
+    assert peer.decoder.ranks == (1, 1, 1, 0)
+    assert count == len(before) + 100
+
+
 def test_the_hull_pressure_of_a_submarine_is_no_height():
     for kind, heights in ((2, 2), (12, 0)):
         peer = Peer(Family.ARDUPILOT)

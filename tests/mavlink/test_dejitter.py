@@ -150,7 +150,7 @@ def test_a_sample_that_comes_late_lies_on_the_cycle_that_it_would_have_had_in_ti
     in_time = [one.smooth(stamp) for stamp in stamps.tolist()]
     assert one.is_active
     late = [one.smooth(stamp) for stamp in stamps.tolist()[-500:]]
-    assert np.abs(np.subtract(late, in_time[-500:])).max() < 100_000  # the line moves, 0.1 ms
+    assert np.abs(np.subtract(late, in_time[-500:])).max() < 300_000  # as they are sent late
     assert one.smooth(stamps[-1] + 5000) > in_time[-1]
 
 

@@ -662,11 +662,12 @@ class Timeline:
             self.counters[enums.KIND_RESTART, enums.ARRIVAL_RESTARTED] += 1
         events = self.behind
         self.behind = Held(BEHIND)
-        then = 0
-        begin = self._time_of(events, 0)
-        while then < self.snaps - 1 and self.snapshots[then + 1].t <= begin:
-            then += 1
-        inflate_by_second_path(self.x, address(self.snapshots[then]), self.second_path)
+        if self.x.mode == enums.MODE_NAVIGATE and self.x.at_rest == 0.0:
+            then = 0
+            begin = self._time_of(events, 0)
+            while then < self.snaps - 1 and self.snapshots[then + 1].t <= begin:
+                then += 1
+            inflate_by_second_path(self.x, address(self.snapshots[then]), self.second_path)
         self._set_clock(events.t_ns[0])
         for i in range(events.size):
             result = self._place(events.t_ns[i], events.kind[i], events.values[i])

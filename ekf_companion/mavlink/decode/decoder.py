@@ -74,7 +74,11 @@ class Decoder(DecoderState):
         """Whether the clock goes on, of which the frames that are held are behind."""
 
     def _forget(self, step: Step) -> None:
-        """Begin anew after a reboot; the clock has already taken the new time."""
+        """Begin anew after a reboot; the clock has already taken the new time.
+
+        Where the clock was only set, the sources in use are still the best that speak.
+        """
+        ranks, unit, offset = self.ranks, self.inertial.unit, self.inertial.lanes.offset
         for reader in (
             *self._ranked,
             self.fixes,
@@ -86,6 +90,9 @@ class Decoder(DecoderState):
             reader.forget()
         if step is Step.BEGUN:
             self.vehicle.forget()
+        else:
+            self.prefer(*ranks)
+            self.inertial.resume(unit, offset)
 
     def begin(self) -> None:
         """Begin anew with another autopilot, of whose clock nothing is known."""
