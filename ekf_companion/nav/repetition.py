@@ -203,7 +203,8 @@ class Repetition:
         """Return the logarithm of how likely it is that each axis still measures: of the least.
 
         At rest, with coarse digits, an axis repeats itself as often as the others do meanwhile,
-        beside those that have not changed at all: they may be stuck too.
+        beside those that have not changed at all: they may be stuck too. One that is more often
+        equal than not has digits too coarse to tell.
         """
         least = 0.0
         for axis in range(6):
@@ -211,6 +212,8 @@ class Repetition:
             if chance < least:
                 run = self._runs[axis]
                 usual = exp(chance / run)
+                if usual > 0.5:
+                    continue
                 equal, pairs = self._beside[axis], 5 * run
                 for other in range(6):
                     if other != axis and self._runs[other] >= run:
