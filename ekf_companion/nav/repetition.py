@@ -46,8 +46,10 @@ MEASURED = (LIMITED, AXIS)
 ZERO = "absent: all six numbers are zero"
 LEAP = _LEAP = 10.0
 """rad/s from one sample to the next: no flight but a crash is so rough, and then it goes on."""
-SPIKE = "leaping by more than 10 rad/s, and back"
-"""As a damaged word of the sensor's bus is, or the end of 16 bits of mrad/s."""
+_FORCE_LEAP = 16.0 * STANDARD_GRAVITY
+"""m/s^2, likewise: the range of most sensors."""
+SPIKE = "leaping by more than 10 rad/s or 16 g, and back"
+"""As a damaged word of the sensor's bus is, or the end of 16 bits of mrad/s or milli-g."""
 _LONG_LEAP = 5
 """Samples in a row after which even the same one, to the bit, is where the rate has leapt to."""
 
@@ -64,15 +66,14 @@ class Repetition:
     def __init__(self) -> None:
         if not cython.compiled:
             self._last, self._runs, self._equal = [0.0] * 6, [0] * 6, [0] * 6
-            self._steady, self._leapt = [0.0] * 3, [0.0] * 3
+            self._steady, self._leapt = [0.0] * 6, [0.0] * 6
             self._moved, self._then, self._field = [0] * 6, [0.0] * 54, [0.0] * 3
             self._beside = [0] * 6
         for axis in range(6):
-            self._last[axis] = math.nan
+            self._last[axis] = self._leapt[axis] = self._steady[axis] = math.nan
             self._runs[axis] = self._equal[axis] = self._moved[axis] = self._beside[axis] = 0
         for axis in range(3):
             self._field[axis] = 0.0
-            self._steady[axis] = self._leapt[axis] = math.nan
         self._leaps = 0
         self._pairs = 0
         self._since_us = 0
@@ -94,7 +95,7 @@ class Repetition:
         # In free fall there would be noise
         if gx == 0.0 and gy == 0.0 and gz == 0.0 and ax == 0.0 and ay == 0.0 and az == 0.0:
             return ZERO
-        if self._is_spike(gx, gy, gz):
+        if self._is_spike(gx, gy, gz, ax, ay, az):
             return SPIKE
         equal = self._count(0, gx) + self._count(1, gy) + self._count(2, gz)
         equal += self._count(3, ax) + self._count(4, ay) + self._count(5, az)
@@ -170,23 +171,35 @@ class Repetition:
                 is_good[n] = why in MEASURED
                 self.refused[why] = self.refused.get(why, 0) + 1
 
-    def _is_spike(self, gx: float, gy: float, gz: float) -> bool:
-        """Whether a rate has leapt, and nothing says yet that it goes on so."""
+    def _is_spike(self, gx: float, gy: float, gz: float, ax: float, ay: float, az: float) -> bool:
+        """Whether a rate or a force has leapt, and nothing says yet that it goes on so.
+
+        No sensor is started in such a turn; where the force is none of a vehicle either, the units
+        are wrong.
+        """
         is_far = is_same = False
+        if math.isnan(self._steady[0]) and max(abs(ax), abs(ay), abs(az)) <= _FORCE_LEAP:
+            for axis in range(3):
+                self._steady[axis] = 0.0
         is_near = True
-        for axis in range(3):
-            rate = gx if axis == 0 else gy if axis == 1 else gz
-            is_near = is_near and abs(rate - self._leapt[axis]) <= _LEAP
-            if abs(rate - self._steady[axis]) > _LEAP:
+        for axis in range(6):
+            value = gx if axis == 0 else gy if axis == 1 else gz
+            if axis > 2:
+                value = ax if axis == 3 else ay if axis == 4 else az
+            leap = _LEAP if axis < 3 else _FORCE_LEAP
+            is_near = is_near and abs(value - self._leapt[axis]) <= leap
+            if abs(value - self._steady[axis]) > leap:
                 is_far = True
-                is_same = is_same or rate == self._leapt[axis]
+                is_same = is_same or value == self._leapt[axis]
         if is_far:
             self._leaps = self._leaps + 1 if is_near else 1
             self._leapt[0], self._leapt[1], self._leapt[2] = gx, gy, gz
+            self._leapt[3], self._leapt[4], self._leapt[5] = ax, ay, az
             if self._leaps < 2 or (is_same and self._leaps < _LONG_LEAP):
                 return True
         self._leaps = 0
         self._steady[0], self._steady[1], self._steady[2] = gx, gy, gz
+        self._steady[3], self._steady[4], self._steady[5] = ax, ay, az
         return False
 
     def _count(self, axis: int, value: float) -> int:

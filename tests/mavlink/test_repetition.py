@@ -209,10 +209,20 @@ def test_a_rate_that_leaps_and_goes_on_costs_one_sample():
     assert flat[500:505] == [SPIKE] * 4 + [None]
 
 
-def test_a_log_that_begins_with_a_spike_loses_the_next_sample():
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_log_that_begins_with_spikes_loses_those_alone(count):
     samples = noisy(100, mean=STILL)
-    samples[0] = (32.767, *samples[0][1:])
-    assert judge(samples)[:4] == [None, SPIKE, None, None]
+    for n in range(count):
+        samples[n] = (32.767, *samples[n][1:])
+    assert judge(samples)[:5] == [SPIKE] * count + [None] * (5 - count)
+
+
+@pytest.mark.parametrize("axis", [3, 4, 5])
+def test_a_force_that_leaps_and_comes_back_was_not_measured(axis):
+    samples = noisy(100, mean=STILL)
+    for n in (40, 41, 70):
+        samples[n] = (*samples[n][:axis], 321.33, *samples[n][axis + 1 :])
+    assert [n for n, one in enumerate(judge(samples)) if one == SPIKE] == [40, 41, 70]
 
 
 def test_a_vehicle_in_a_plane_has_no_axis_that_is_stuck():
