@@ -138,9 +138,7 @@ class PayloadReader:
     def _free(self) -> None:
         """Write the rows of the frames that waited."""
         if self.decoder.held:
-            held, self.decoder.held = self.decoder.held, []
-            for _, measurements in held:
-                self._put_rows(measurements)
+            self._put_rows(self.decoder.free())
 
     def _read_timesync(self) -> bool:
         """Count an answer to somebody else, or a request; without requests of ours all are."""

@@ -204,11 +204,13 @@ class Decoder(DecoderState):
             self._is_confirmed = self._is_confirmed and bool(self.held)
             self.held.append((frame, out))
             return []
-        if self.held:
-            late = [found for _, measurements in self.held for found in measurements]
-            out = [*(map(_late, late) if self._is_confirmed else late), *out]
-            self.held = []
-        return out
+        return [*self.free(), *out] if self.held else out
+
+    def free(self) -> Measurements:
+        """Return the measurements of the frames that waited, which were late."""
+        held, self.held = self.held, []
+        late = [found for _, measurements in held for found in measurements]
+        return list(map(_late, late)) if self._is_confirmed else late
 
 
 def _late(measurement: Measurement) -> Measurement:
