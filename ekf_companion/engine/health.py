@@ -61,6 +61,8 @@ class Health:
     """Measured rate of the inertial samples, Hz; 0: none yet."""
     gnss_delay: float
     """Estimated addition to the configured delay, s."""
+    velocity_lag: float
+    """How much later the velocity of a fix is true than its position, s."""
     white_shares: Mapping[Aid, float]
     """Learnt share of the variance that the receiver states which is white noise."""
     hard_iron: tuple[float, float, float]

@@ -250,6 +250,7 @@ class Pipeline:
             nis={aid: x.nis_sum[aid] / n if (n := x.nis_n[aid]) else math.nan for aid in Aid},
             imu_rate=1.0 / x.dt if x.dt > 0.0 else 0.0,
             gnss_delay=x.gnss_delay,
+            velocity_lag=x.lag.late,
             white_shares={
                 aid: max(x.white_share[aid], 0.01)
                 for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)

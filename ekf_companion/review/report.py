@@ -94,7 +94,7 @@ class Report:
     """The positions, to compare with those below."""
     wind: MeanWind = field(default_factory=MeanWind)
     fix_delay: float = 0.0
-    """By which a fix is older than its stamp: configured or declared, and found, s."""
+    """By which a fix's position is older than its stamp: configured or declared, and found, s."""
     own: Trajectory | None = None
     """The autopilot's own estimate of the longest stretch without a reboot."""
     truth: Trajectory | None = None

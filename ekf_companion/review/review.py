@@ -112,6 +112,7 @@ class Review(Generic[P]):
                 "",
             )
             report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
+            report.fix_delay -= health.velocity_lag
         self._note_left_out()
         report.notes += self._magnetometer.notes() + self._receivers.notes()
         self.compare_sensors()

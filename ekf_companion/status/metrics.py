@@ -93,6 +93,9 @@ HEALTH = {
         "position_is_autopilots", "1: the autopilot's own estimate is used in place of GNSS."
     ),
     "gnss_delay": gauge("gnss_extra_delay_seconds", "What the filter adds to gnss.delay."),
+    "velocity_lag": gauge(
+        "gnss_velocity_lag_seconds", "How much later a fix's velocity is true than its position."
+    ),
     "white_shares": gauge(
         "gnss_white_share_ratio",
         "Learnt share of the receiver's variance that is white noise.",

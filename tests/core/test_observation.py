@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.parameters import Parameters
 from ekf_companion.core.memory.scratch import Observation
 from tests.core.interpreted import load
 from tests.core.states import array
@@ -20,8 +19,8 @@ def test_it_begins_empty(rows):
 
 
 def test_a_timing_error_makes_the_rows_uncertain_together():
-    o, k, rate = Observation(), Parameters(timing_std=0.1), [3.0, -4.0]
+    o, rate = Observation(), [3.0, -4.0]
     load().observation.clear(o, 2, 1.0)
-    load().observation.add_timing_noise(o, k, rate)
+    load().observation.add_timing_noise(o, 0.1**2, rate)
     expected = np.eye(2) + 0.01 * np.outer(rate, rate)
     np.testing.assert_allclose(array(o.R)[:2, :2], expected)

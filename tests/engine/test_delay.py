@@ -11,6 +11,7 @@ from ekf_companion.core.settings.from_settings import SET_STD
 from ekf_companion.core.settings.settings import HABITS, FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.nav.state import Status
 from sim_autopilot import events as wire
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
@@ -128,3 +129,39 @@ def test_told_late_it_counts_as_much_and_what_was_learnt_meanwhile_still_does():
     assert abs(late - early) < 0.005
     assert late_sigma == pytest.approx(early_sigma, rel=0.1)
     assert abs(late - 0.04) < 3.0 * late_sigma
+
+
+def lagging(events: Events, lag: float) -> Events:
+    """Return the fixes with the velocities of some time before, s, that the positions are of."""
+    fixes = np.flatnonzero(events.kind == Kind.GNSS)
+    t = events.t_ns[fixes] * 1e-9
+    values = events.values.copy()
+    for i in (3, 4, 5):
+        values[fixes, i] = np.interp(t - lag, t, events.values[fixes, i])
+    return replace(events, values=values)
+
+
+@pytest.mark.parametrize("lag", [0.1, 0.2])
+@pytest.mark.parametrize("path", ["figure-eight", "square-spiral"])
+def test_a_velocity_later_than_its_position_leads_the_position_nowhere(path, lag):
+    """The position was taken for as old as the velocity, and slid away from it in each turn."""
+    events = fly(path, seed=6, delay=0.05)
+    late = lagging(events, lag)
+    told_none = FilterSettings()
+    usual = replace(told_none, gnss=replace(told_none.gnss, velocity_lag_std=0.1))
+    right, now, before = (
+        Pipeline(settings).run(flown)
+        for settings, flown in ((usual, events), (usual, late), (told_none, late))
+    )
+    settled = right.stamp_ns > right.stamp_ns[0] + int(40e9)
+    off, was = (
+        np.sqrt(
+            np.mean(
+                (table.column("pos_n") - right.column("pos_n"))[settled] ** 2
+                + (table.column("pos_e") - right.column("pos_e"))[settled] ** 2
+            )
+        )
+        for table in (now, before)
+    )
+    assert off < 0.5 * was
+    assert np.mean(now.column("status")[settled] == Status.OK) > 0.95

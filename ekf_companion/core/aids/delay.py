@@ -170,6 +170,17 @@ def weigh_anew(x: State, k: Parameters) -> None:
         set_variance(x, E_DELAY, variance)
 
 
+def follow_lag(x: State, k: Parameters, moved: float) -> None:
+    """Let the first guess of the delay, which is of positions, go on with the velocity's lag, s.
+
+    As far as it still counts: what the velocities have shown of their delay they have shown.
+    """
+    prior = first_variance(x, k)
+    if prior > 0.0:
+        x.first_delay += moved
+        x.gnss_delay += moved * x.P[E_DELAY][E_DELAY] / prior
+
+
 def first_variance(x: State, k: Parameters) -> float:
     """Return the variance of the delay's first guess, s^2."""
     return x.first_delay_var if x.first_delay_var > 0.0 else k.delay_std * k.delay_std

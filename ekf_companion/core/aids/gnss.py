@@ -27,7 +27,7 @@ from cython.cimports.libc.math import isnan
 
 def way(x: State, o: Observation, axis: int) -> float:
     """Return the way of the antenna since the fix was true, m."""
-    return x.gnss_delay * (x.vel_n[axis] - 0.5 * o.then.since[axis] + o.arm_vel_n[axis])
+    return o.then.late * (x.vel_n[axis] - 0.5 * o.then.since[axis] + o.arm_vel_n[axis])
 
 
 def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
@@ -35,9 +35,9 @@ def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     lat = fix.lat
     lon = fix.lon
     clear(o, 2, fix.std[0] * fix.std[0])
-    add_timing_noise(o, k, x.vel_n)
+    add_timing_noise(o, k.timing_std * k.timing_std + fix.lag_var, x.vel_n)
     lever_arm.write_lever_arm(x, k, o)
-    look_back(x, x.gnss_delay, address(o.then))
+    look_back(x, x.gnss_delay - fix.lag, address(o.then))
     o.shows_delay = k.use_velocity == 0.0 or isnan(fix.vel_n[0])
     o.z[0] = (lat - x.origin.lat) * x.origin.scale_n - (
         x.pos_n[0] + x.gnss_offset[0] + o.arm_n[0] - way(x, o, 0)
@@ -48,13 +48,13 @@ def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     # theta turns the lever arm r: theta x r
     o.H[0][E_ATT + 1] = o.arm_n[2]
     o.H[0][E_ATT + 2] = -o.arm_n[1]
-    o.H[0][E_VEL] = -x.gnss_delay
+    o.H[0][E_VEL] = -o.then.late
     o.H[0][E_POS] = 1.0
     o.H[0][E_GNSS] = 1.0
     o.H[0][E_DELAY] = -(x.vel_n[0] - o.then.since[0] + o.arm_vel_n[0])
     o.H[1][E_ATT] = -o.arm_n[2]
     o.H[1][E_ATT + 2] = o.arm_n[0]
-    o.H[1][E_VEL + 1] = -x.gnss_delay
+    o.H[1][E_VEL + 1] = -o.then.late
     o.H[1][E_POS + 1] = 1.0
     o.H[1][E_GNSS + 1] = 1.0
     o.H[1][E_DELAY] = -(x.vel_n[1] - o.then.since[1] + o.arm_vel_n[1])
@@ -63,13 +63,13 @@ def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
 def height(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     """Observe the altitude of the antenna above mean sea level: one row, down."""
     clear(o, 1, fix.std[1] * fix.std[1])
-    o.R[0][0] += k.timing_std * k.timing_std * x.vel_n[2] * x.vel_n[2]
+    o.R[0][0] += (k.timing_std * k.timing_std + fix.lag_var) * x.vel_n[2] * x.vel_n[2]
     lever_arm.write_lever_arm(x, k, o)
-    look_back(x, x.gnss_delay, address(o.then))
+    look_back(x, x.gnss_delay - fix.lag, address(o.then))
     o.z[0] = (x.origin.alt - fix.alt) - (x.pos_n[2] + x.gnss_offset[2] + o.arm_n[2] - way(x, o, 2))
     o.H[0][E_ATT] = o.arm_n[1]
     o.H[0][E_ATT + 1] = -o.arm_n[0]
-    o.H[0][E_VEL + 2] = -x.gnss_delay
+    o.H[0][E_VEL + 2] = -o.then.late
     o.H[0][E_POS + 2] = 1.0
     o.H[0][E_GNSS + 2] = 1.0
     o.H[0][E_DELAY] = -(x.vel_n[2] - o.then.since[2] + o.arm_vel_n[2])
@@ -80,7 +80,7 @@ def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     clear(o, 2 if isnan(fix.vel_n[2]) else 3, fix.std[2] * fix.std[2])
     lever_arm.write_lever_arm(x, k, o)
     look_back(x, x.gnss_delay, address(o.then))
-    add_timing_noise(o, k, o.then.accel_n)
+    add_timing_noise(o, k.timing_std * k.timing_std, o.then.accel_n)
     lever_arm.add_noise(x, k, o)
     unevenness(x, o.uneven)
     for i in range(o.rows):

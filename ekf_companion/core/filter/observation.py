@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cython.cimports.ekf_companion.core.memory.enums import N
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
-from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 
 
@@ -20,8 +19,8 @@ def clear(o: Observation, rows: int, variance: float) -> None:
         o.R[r][r] = variance
 
 
-def add_timing_noise(o: Observation, k: Parameters, rate: Vector) -> None:
-    """Add to R the effect of a timing error on quantities that change at these rates, one a row."""
+def add_timing_noise(o: Observation, var: float, rate: Vector) -> None:
+    """Add to R what an error in time, s^2, does to what changes at these rates, one a row."""
     for r in range(o.rows):
         for c in range(o.rows):
-            o.R[r][c] += k.timing_std * k.timing_std * rate[r] * rate[c]
+            o.R[r][c] += var * rate[r] * rate[c]

@@ -58,6 +58,7 @@ def keep_velocity(x: State) -> None:
 def look_back(x: State, late: float, then: Then) -> None:
     """Write what the motion was some time ago, s: velocity gained until and since, acceleration."""
     t = x.t - late * 1e9
+    then.late = late
     acceleration_at(x, t, then.until, then.accel_n)
     gained_until(x, t, then.until)
     for i in range(3):

@@ -98,6 +98,8 @@ class Parameters:
     white_share: Real
     """NaN: learnt."""
     timing_std: Real
+    lag_std: Real
+    """One sigma of how much later a receiver's velocity is true than its position, s."""
     gnss_vel_slow_std: Real
     """One sigma of the slow error of the receiver's velocity, m/s."""
     gnss_vel_offset_time: Real

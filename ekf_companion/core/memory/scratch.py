@@ -116,12 +116,18 @@ class Fix:
     """One sigma of the white part: position, height, velocity."""
     stated_var: Annotated[Vector, RUNS]
     """Variance that the receiver states."""
+    lag: Real
+    """How much later its velocity is true than its position, s."""
+    lag_var: Real
+    """Variance of that, s^2."""
 
 
 @struct
 class Then:
     """The motion when a late fix was true."""
 
+    late: Real
+    """How long ago that was, s."""
     until: Annotated[Vector, 3]
     """Velocity gained until then, in n, m/s."""
     since: Annotated[Vector, 3]

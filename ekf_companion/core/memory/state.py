@@ -460,6 +460,33 @@ class Gain:
 
 
 @struct
+class Lag:
+    """How much later the velocity of a fix is true than its position, and the gain that goes on."""
+
+    late: Real
+    """s."""
+    t: Real
+    """At which the gain has begun, ns."""
+    pos: Annotated[Vector, 2]
+    """North and east of the antenna by the fix then, m."""
+    vel: Annotated[Vector, 2]
+    """Its velocity, m/s."""
+    way: Annotated[Vector, 2]
+    """What the velocities have added up to since, m."""
+    last_t: Real
+    """Of the last fix, ns; never: there is none."""
+    last_vel: Annotated[Vector, 2]
+    changed2: Real
+    """Sum of the squares of what the velocity gained, (m/s)^2."""
+    changed4: Real
+    """Of their squares, (m/s)^4."""
+    product: Real
+    """Of what the velocity and what the position gained beyond it, m^2/s."""
+    left2: Real
+    """Of the squares of what is left, each times that of the velocity, m^4/s^2."""
+
+
+@struct
 class Lever:
     """What fixes in turns have shown of the lever arm beside the one that is configured."""
 
@@ -583,6 +610,7 @@ class Evidence:
     """Inertial ones so far."""
     past: Past
     gain: Gain
+    lag: Lag
     lever: Lever
     armed: Real
     landed: Real

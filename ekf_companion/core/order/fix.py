@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import delay, gnss, rest
+from cython.cimports.ekf_companion.core.aids import delay, gnss, lag, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.bank import Bank
@@ -114,6 +114,10 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         return True
     learn_field(x, values)
     read_fix(x, k, fix, values)
+    if not flags & FLAG_DERIVED:
+        before = x.lag.late
+        lag.take(x, k, fix)
+        delay.follow_lag(x, k, x.lag.late - before)
     if x.origin.is_known != 0.0 and k.weighs_faults != WEIGH_ACT:
         force.compare(x, fix)
         slide.compare_fixes(x, fix)
@@ -236,6 +240,8 @@ def read_fix(x: State, k: Parameters, fix: Fix, values: GnssRow) -> None:
     fix.lat = values.lat
     fix.lon = values.lon
     fix.alt = values.alt
+    fix.lag = 0.0
+    fix.lag_var = 0.0
     for i in range(3):
         fix.vel_n[i] = values.vel_n[i]
         fix.std[i] = values.std[i]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.aids import gnss
+from cython.cimports.ekf_companion.core.aids import gnss, lag
 from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
 from cython.cimports.ekf_companion.core.filter.update import innovate
 from cython.cimports.ekf_companion.core.memory.constants import NEVER
@@ -98,6 +98,8 @@ def is_better(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     o = address(w.observation)
     fix.lat = values.lat
     fix.lon = values.lon
+    fix.lag = 0.0
+    fix.lag_var = k.lag_std * k.lag_std
     fix.std[0] = values.std[0]
     for i in range(3):
         fix.vel_n[i] = values.vel_n[i]
@@ -107,6 +109,7 @@ def is_better(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
 
 def forget_receiver(x: State) -> None:
     """Forget what fixes have shown of the receiver before: another one has other errors."""
+    lag.forget(x)
     x.alone_t = NEVER
     x.split_t = NEVER
     x.slide.t = NEVER

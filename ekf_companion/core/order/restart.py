@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.aids import lever_arm, wind
+from cython.cimports.ekf_companion.core.aids import lag, lever_arm, wind
 from cython.cimports.ekf_companion.core.aids.delay import forget_gain
 from cython.cimports.ekf_companion.core.aids.rest import begin_window
 from cython.cimports.ekf_companion.core.filter import past
@@ -49,6 +49,7 @@ def forget_sensors(x: State) -> None:
     x.vehicle = VEHICLE_UNKNOWN
     x.raw_fix_t = NEVER
     x.receiver = 0.0
+    lag.forget(x)
     x.alone_t = NEVER
     x.compass = 0.0
     x.split_t = NEVER

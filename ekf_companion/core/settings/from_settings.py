@@ -54,6 +54,7 @@ def parameters(
     k.gnss_vel_slow_std = gnss.velocity_slow_std
     k.gnss_vel_offset_time = gnss.velocity_slow_time
     k.timing_std = gnss.timing_std
+    k.lag_std = gnss.velocity_lag_std
     k.gnss_offset_time = gnss.slow_time
     k.white_share = math.nan if gnss.white_share == "auto" else gnss.white_share
     k.vel_std_default = gnss.velocity_std_unknown

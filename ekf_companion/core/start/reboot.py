@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core.filter.slow_error import set_variance
+from cython.cimports.ekf_companion.core.memory.constants import NEVER
 from cython.cimports.ekf_companion.core.memory.enums import E_BA, E_BG, E_DELAY, E_IRON
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.state import State
@@ -29,6 +30,8 @@ def carry_over(x: State, y: State, k: Parameters) -> None:
     x.gain.var = y.gain.var
     x.gain.n = y.gain.n
     x.gain.shown = y.gain.shown
+    x.lag = y.lag
+    x.lag.last_t = NEVER
     walked = k.accel_bias_walk * k.accel_bias_walk * REBOOT_TIME
     turned = k.gyro_bias_walk * k.gyro_bias_walk * REBOOT_TIME
     for i in range(3):

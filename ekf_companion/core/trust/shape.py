@@ -325,7 +325,7 @@ def add_delay(x: State, b: Bank, later: float, o: Observation, aid: int, T: Dcm)
         for r in range(o.rows):
             T[r][0] += o.H[r][E_DELAY]
         return
-    t = x.t - x.gnss_delay * 1e9
+    t = x.t - o.then.late * 1e9
     gained_until(x, t - 0.5e9 * later, b.trial.gain)
     gained_until(x, t - later * 1e9, b.trial.b)
     acceleration_at(x, t - later * 1e9, b.trial.M[0], b.trial.M[1])

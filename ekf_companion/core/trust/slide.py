@@ -59,6 +59,7 @@ def compare_fixes(x: State, fix: Fix) -> None:
         if i == 1:
             here = wrap(fix.lon - x.origin.lon) * x.origin.scale_e
         v = 0.0 if isnan(fix.vel_n[i]) else fix.vel_n[i]
+        here -= fix.lag * v  # when the velocity was true
         way = 0.5 * dt * (v + x.split_vel[i])
         x.split[i] = (
             x.split[i] * exp(-dt / SPLIT_TIME) + here - x.split_pos[i] - way if is_next else 0.0
@@ -84,7 +85,7 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
     """
     slide = address(x.slide)
     since = (x.t - slide.t) * 1e-9
-    limit = ALONE * ALONE * (fix.stated_var[0] + led_var(fix, MEMORY))
+    limit = ALONE * ALONE * (fix.stated_var[0] + led_var(fix, MEMORY) + lag_var(fix))
     was_refused = cython.declare(cython.bint, x.refused_t[AID_POSITION] > slide.t)
     if is_reset and was_refused and slide.is_sliding == 0.0 and has_slid(x, fix, limit):
         slide.is_sliding = 1.0
@@ -155,6 +156,13 @@ def is_led(x: State, axis: int) -> bool:
 def led_var(fix: Fix, span: float) -> float:
     """Return the variance of what the velocity's slow error adds up to over so many s, m^2."""
     return SLOW_VELOCITY * SLOW_VELOCITY * fix.stated_var[2] * SLOW_TIME * span
+
+
+def lag_var(fix: Fix) -> float:
+    """Return the variance of the way that the velocity's lag hides, m^2."""
+    if fix.lag_var == 0.0:
+        return 0.0
+    return fix.lag_var * (fix.vel_n[0] * fix.vel_n[0] + fix.vel_n[1] * fix.vel_n[1])
 
 
 def contradicts_itself(x: State, fix: Fix) -> bool:
