@@ -95,6 +95,8 @@ class PayloadReader:
 
     def _begin_row(self, t_ns: int, kind: int) -> int:
         """Begin a row of zeros; return its number."""
+        if self.n == self.out_t.shape[0]:
+            self._grow()
         i = self.n
         self.out_t[i], self.out_kind[i] = t_ns, kind
         for j in range(self.out.shape[1]):
@@ -102,14 +104,16 @@ class PayloadReader:
         self.n += 1
         return i
 
+    def _grow(self) -> None:
+        """Make room for more rows: frames that waited are written with the one that frees them."""
+        self.buffer.size = self.n
+        self.buffer.grow()
+        self._use(self.buffer)
+
     def _put_rows(self, measurements: Measurements) -> None:
         """Write the rows of measurements that the decoder has made."""
         for measurement in measurements:
             t_ns, kind, values = measurement.row()
-            if self.n == self.out_t.shape[0]:
-                self.buffer.size = self.n
-                self.buffer.grow()
-                self._use(self.buffer)
             i = self._begin_row(t_ns, kind)
             for j in range(WIDTH):
                 self.out[i, j] = values[j]

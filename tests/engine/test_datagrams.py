@@ -9,6 +9,7 @@ from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.nav.measurements import HeadingSample
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
@@ -238,3 +239,26 @@ def test_a_sample_waits_no_longer_than_others_allow():
             companion.receive(data, t_ns)
         companion.tick(t_ns)
     pytest.fail("no sample may wait")
+
+
+def test_frames_that_waited_have_room_whatever_their_number():
+    """A sample that freed just as many rows as the buffer had wrote its own ones behind it."""
+    companion = Companion(STREAMING)
+    reader, decoder = companion.reader, companion.session.decoder
+    numbers = [*range(55, 72), *range(120, 140)]
+    one = HeadingSample(0, 0.1, 0.1)
+    for t_ns, frames in flown(duration=16.0):
+        for data in frames:
+            is_sample = data[7:10] == NUMBER
+            if t_ns < 8_000_000_000 or not is_sample or not numbers:
+                companion.receive(data, t_ns)
+                continue
+            decoder.held = [(Splitter().feed(data)[0], [one])] * numbers[0]
+            rows = reader.read_datagram(data, t_ns, None)
+            if rows is None:  # not plainly the next sample: the session reads it
+                decoder.held = []
+                companion.receive(data, t_ns)
+                continue
+            assert len(rows) > numbers.pop(0)
+            assert reader.n <= len(reader.buffer.t_ns)
+    assert not numbers
