@@ -23,7 +23,7 @@ from ekf_companion.lidar.recording import InertialSamples, Mounting, Recording, 
 from ekf_companion.lidar.relative import MARKED, Marked, RelativePose, by_axes, square
 from ekf_companion.lidar.relocation import relocate
 from ekf_companion.lidar.rows import Match, sum_rows
-from ekf_companion.lidar.sampling import thin, within_range
+from ekf_companion.lidar.sampling import evenly, thin, within_range
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.state import (
     ATT,
@@ -326,8 +326,8 @@ class Odometry:
         return update, path
 
     def _choose(self, scan: Scan) -> tuple[Array, Array]:
-        """Return the points within range, and their times."""
-        kept = within_range(scan.points, self.settings)
+        """Return the points within range, or as many as the map takes, and their times."""
+        kept = evenly(within_range(scan.points, self.settings), self.settings.most_map_points)
         return scan.points[kept], scan.times[kept]
 
 

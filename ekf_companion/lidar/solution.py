@@ -27,6 +27,9 @@ NAMED = 1.0
 """Shortest time without hold that is named, s."""
 POOR = 0.01
 """Share of the way that its own sigma may be in a good result: what odometry is bought for."""
+MOST_OPEN = 0.5
+"""Share of the time without hold in a good result: beyond it the way is the inertial sensor's, and
+what seems to hold in between are planes that were put in by it."""
 POOR_BY_DOPPLER = 0.02
 """The same of a radar, whose heading and height nothing holds."""
 LEAST_SIGMA = 0.1
@@ -128,10 +131,12 @@ class Solution:
         count, matched = len(self.track), int(self.track.is_matched.sum())
         if matched < 0.5 * count:
             return f"poor: {count - matched} of {count} scans match nothing"
-        grade = "good" if sigma <= max(self.share * way, LEAST_SIGMA) else "poor"
+        spans = [one.end - one.start for one in stretches]
+        is_held = sum(spans) <= MOST_OPEN * float(np.diff(self.track.stamp).sum())
+        is_good = is_held and sigma <= max(self.share * way, LEAST_SIGMA)
+        grade = "good" if is_good else "poor"
         text = f"{grade}: {way:.0f} m, own sigma {sigma:.{1 if sigma >= 1.0 else 2}f} m"
         if stretches:
-            spans = [one.end - one.start for one in stretches]
             longest = stretches[int(np.argmax(spans))]
             x, y, z = longest.direction
             text += (
