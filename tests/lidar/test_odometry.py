@@ -248,6 +248,22 @@ def test_a_voxel_finds_its_plane_and_how_well_it_knows_it():
     assert 0.4 < np.mean(offsets) < 2.0
 
 
+def test_a_few_points_of_each_scan_are_enough_for_the_map(room, score):
+    found = solve(room[1], Settings(most_map_points=1200))
+    scored = score.score(str(room[0]), found.poses, found.covariances())
+    assert scored["ate_start_m"] < 0.05
+    assert scored["nees_position"]["mean"] < 3.0
+
+
+def test_a_way_that_was_mostly_without_hold_is_not_good(tmp_path):
+    """A sparse lidar that leaves rest in a street: what seems to hold may be false."""
+    path = tmp_path / "street"
+    write_sequence(path, simulate("street", 501, duration=9.0))
+    found = solve(read(path), Settings())
+    assert sum(one.end - one.start for one in found.open_stretches()) > 4.5
+    assert found.verdict().startswith("poor: ")
+
+
 def test_what_is_far_or_of_a_gone_anchor_is_forgotten():
     voxels = VoxelMap(Settings())
     points = np.random.default_rng(2).uniform(0.0, 20.0, (500, 3))
