@@ -9,7 +9,7 @@ from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
-from ekf_companion.nav.measurements import HeadingSample
+from ekf_companion.nav.measurements import HeadingSample, HeadingSource
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
@@ -246,7 +246,7 @@ def test_frames_that_waited_have_room_whatever_their_number():
     companion = Companion(STREAMING)
     reader, decoder = companion.reader, companion.session.decoder
     numbers = [*range(55, 72), *range(120, 140)]
-    one = HeadingSample(0, 0.1, 0.1)
+    one = HeadingSample(t_ns=0, heading=0.1, std=0.1, source=HeadingSource.AUTOPILOT)
     for t_ns, frames in flown(duration=16.0):
         for data in frames:
             is_sample = data[7:10] == NUMBER

@@ -1,6 +1,6 @@
 """How much later the velocity of a fix is true than its position, by the fixes alone.
 
-Many receivers filter the velocity: of eight recorded ones five give it 0.08 to 0.2 s later than the
+Many receivers filter the velocity: of eight recorded ones five give it 0.05 to 0.2 s later than the
 position. What a position gains between two fixes, less what the velocities add up to in that time,
 is the lag times what the velocity gains::
 

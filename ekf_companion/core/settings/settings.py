@@ -157,8 +157,8 @@ class GnssSettings:
     position."""
     velocity_lag_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.0
     """One sigma of how much later the velocity of a fix is true than its position: many receivers
-    filter it, by 0.1 to 0.2 s. With 0.1 the filter learns it in manoeuvres; until then a position is
-    no surer than that times the speed. 0: they are true at the same time."""
+    filter it, by 0.1 to 0.2 s. With 0.1 the estimator learns it in manoeuvres; until then a
+    position is no surer than that times the speed. 0: they are true at the same time."""
     lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
     """The antenna from the inertial sensor: forward, right, down. Measure it to a few centimetres:
     in a turn of 2 rad/s, 0.3 m of it are 0.6 m/s."""
