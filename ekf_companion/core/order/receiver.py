@@ -42,7 +42,6 @@ from cython.cimports.ekf_companion.core.trust.gate import (
     is_refused_for,
     is_timed_out,
 )
-from cython.cimports.libc.math import cos, sqrt
 
 SILENT = cython.declare(cython.double, 0.6e9)
 """Time for which one receiver speaks and the other does not, beside half as much again as its last
@@ -53,18 +52,12 @@ REFUSED = cython.declare(cython.double, 1.0)
 """Time for which a receiver in use is refused, s: a glitch of one fix is over by then."""
 UNUSED = cython.declare(cython.double, 3.0)
 """Time for which its position is not used, for whatever reason, s."""
-EARTH_RADIUS = cython.declare(cython.double, 6.371e6)
-"""m; near enough for a distance of a few metres."""
 FAR = cython.declare(cython.double, 1000.0)
 """Distance from which on an origin is not worth to be kept, m."""
 
 
 REPEATS = cython.declare(cython.double, 2.0)
 """Repeats of one position after which a moving receiver counts as frozen."""
-STANDS = cython.declare(cython.double, 0.3)
-"""Share of a position's sigma within which it stands: two are so near by chance once in 45."""
-FOLLOWS = cython.declare(cython.double, 0.1)
-"""Share of our way of which a receiver that follows it shows more."""
 FROZEN = cython.declare(cython.double, 1e9)
 """Repeats that stand for a receiver that was found to be frozen."""
 
@@ -195,27 +188,23 @@ def is_allowed(x: State, k: Parameters, flags: int) -> bool:
 
 
 def is_frozen(x: State, values: GnssRow) -> bool:
-    """Return whether the receiver stays at one position while the vehicle moves.
+    """Return whether the receiver repeats one position to the bit while the vehicle moves.
 
-    It repeats it to the bit, or stands about it with a noise far below what it claims, though it
-    has agreed with us until then. The vehicle moves by our own velocity, or by the receiver's,
-    which is repeated and not zero, unless we rest. Found once, it stays so until the position
-    changes: our velocity is soon not known well.
+    It moves by our own velocity, or by the receiver's, which is repeated and not zero, unless we
+    rest. Found once, it stays so until the position changes: our velocity is soon not known well.
     """
     is_same = cython.declare(
         cython.bint,
         x.last_fix[0] == values.lat and x.last_fix[1] == values.lon and x.last_fix[2] == values.alt,
     )
-    stands = cython.declare(cython.bint, not is_same and stands_still(x, values))
     has_same_vel = cython.declare(
         cython.bint,
         x.last_fix_vel[0] == values.vel_n[0] and x.last_fix_vel[1] == values.vel_n[1],
     )
     is_sent_moving = cython.declare(cython.bint, values.vel_n[0] != 0.0 or values.vel_n[1] != 0.0)
-    if not stands:
-        x.last_fix[0] = values.lat
-        x.last_fix[1] = values.lon
-        x.last_fix[2] = values.alt
+    x.last_fix[0] = values.lat
+    x.last_fix[1] = values.lon
+    x.last_fix[2] = values.alt
     x.last_fix_vel[0] = values.vel_n[0]
     x.last_fix_vel[1] = values.vel_n[1]
     speed = 0.0
@@ -223,7 +212,7 @@ def is_frozen(x: State, values: GnssRow) -> bool:
     for i in range(3):
         speed += x.vel_n[i] * x.vel_n[i]
         sigma += x.P[E_VEL + i][E_VEL + i]
-    x.fix_repeats = x.fix_repeats + 1.0 if is_same or stands else 0.0
+    x.fix_repeats = x.fix_repeats + 1.0 if is_same else 0.0
     is_moving = cython.declare(
         cython.bint,
         speed > 1.0 + 9.0 * sigma or (has_same_vel and is_sent_moving and x.at_rest == 0.0),
@@ -231,20 +220,3 @@ def is_frozen(x: State, values: GnssRow) -> bool:
     if x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and is_moving:
         x.fix_repeats = FROZEN
     return x.fix_repeats >= FROZEN
-
-
-def stands_still(x: State, values: GnssRow) -> bool:
-    """Return whether a position is as good as the one that has been repeated, and we are not."""
-    north = EARTH_RADIUS * (values.lat - x.last_fix[0])
-    east = EARTH_RADIUS * (values.lon - x.last_fix[1]) * cos(values.lat)
-    away = sqrt(north * north + east * east)
-    if x.mode != MODE_NAVIGATE or x.at_rest != 0.0 or away > STANDS * values.std[0]:
-        return False
-    if x.fix_repeats >= FROZEN:
-        return True
-    if is_timed_out(x, AID_POSITION, (REPEATS + 2.0) * x.fix_dt):
-        return False
-    speed = sqrt(x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1])
-    sigma = sqrt(x.P[E_VEL][E_VEL] + x.P[E_VEL + 1][E_VEL + 1])
-    way = (speed - 3.0 * sigma) * (x.fix_repeats + 1.0) * x.fix_dt
-    return away < FOLLOWS * way
