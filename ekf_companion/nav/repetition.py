@@ -46,9 +46,10 @@ MEASURED = (LIMITED, AXIS)
 ZERO = "absent: all six numbers are zero"
 LEAP = _LEAP = 10.0
 """rad/s from one sample to the next: no flight but a crash is so rough, and then it goes on."""
-_FORCE_LEAP = 16.0 * STANDARD_GRAVITY
-"""m/s^2, likewise: the range of most sensors."""
-SPIKE = "leaping by more than 10 rad/s or 16 g, and back"
+_RANGE = 16.0 * STANDARD_GRAVITY
+"""m/s^2, of most sensors. From one end to the other a sample may leap that clips."""
+_FORCE_LEAP = 2.0 * _RANGE
+SPIKE = "leaping by more than 10 rad/s or 32 g, and back"
 """As a damaged word of the sensor's bus is, or the end of 16 bits of mrad/s or milli-g."""
 _LONG_LEAP = 5
 """Samples in a row after which even the same one, to the bit, is where the rate has leapt to."""
@@ -178,7 +179,7 @@ class Repetition:
         are wrong.
         """
         is_far = is_same = False
-        if math.isnan(self._steady[0]) and max(abs(ax), abs(ay), abs(az)) <= _FORCE_LEAP:
+        if math.isnan(self._steady[0]) and max(abs(ax), abs(ay), abs(az)) <= _RANGE:
             for axis in range(3):
                 self._steady[axis] = 0.0
         is_near = True

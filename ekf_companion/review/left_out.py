@@ -35,7 +35,7 @@ _NOTES = {
     "turn, and the rotation about it, or the force along it, is not known; check the sensor",
     LIMITED: "{} of {} {} are of a sensor at the end of its range, or with an axis that is stuck: "
     "their noise counts as larger; check the sensor, its mounting and its range",
-    SPIKE: "{} of {} {} leap by more than 10 rad/s or 16 g, and back: they are spikes, or of a "
+    SPIKE: "{} of {} {} leap by more than 10 rad/s or 32 g, and back: they are spikes, or of a "
     "crash, and were not used; check the sensor and what reads it",
     ZERO: "{} of {} {} are six zeros, as of a sensor that is absent: they were not used",
     ZERO_HEADING: "{} of {} {} are 0 where there is none: they were not used",
