@@ -31,24 +31,27 @@ class ResetCounter:
 
     def __init__(self) -> None:
         """Begin with nothing sent and nobody else there."""
-        self._usual: int | None = None
-        self._sent = 0
-        self._other: int | None = None
+        self.usual: int | None = None
+        """What it would be without others, at the last that was sent."""
+        self.sent = 0
+        """What that bore."""
+        self.other: int | None = None
+        """The counter of the other; None: there is none."""
         self._heard: deque[int] = deque(maxlen=_KEPT)
         """When the other's last came, ns."""
-        self._last_ns = 0
+        self.last_ns = 0
         """When our last was sent."""
         self._shared_ns = 0
         """When ours became the other's."""
 
     def on_other(self, counter: int, now_ns: int) -> None:
         """Note a pose of another source, and its counter."""
-        self._other = counter
+        self.other = counter
         self._heard.append(now_ns)
 
     def forget_other(self) -> None:
         """Go on as nobody else sends: the counter stays until the next jump."""
-        self._other = None
+        self.other = None
         self._heard.clear()
 
     def choose(self, usual: int, now_ns: int, way_ns: int = 0, *, is_followed: bool = True) -> int:
@@ -60,16 +63,16 @@ class ResetCounter:
             way_ns: What the way to the autopilot and back takes.
             is_followed: Whether the autopilot is where ours says.
         """
-        if usual != self._usual:
-            self._usual = usual
+        if usual != self.usual:
+            self.usual = usual
             self._move(usual)
-        elif self._other is not None and self._sent != self._other:
+        elif self.other is not None and self.sent != self.other:
             if self._follows_ours(now_ns, way_ns):
-                self._sent, self._shared_ns = self._other, now_ns
-        elif self._other is not None and not is_followed and now_ns - self._shared_ns > _AGAIN_NS:
+                self.sent, self._shared_ns = self.other, now_ns
+        elif self.other is not None and not is_followed and now_ns - self._shared_ns > _AGAIN_NS:
             self._move(usual)
-        self._last_ns = now_ns
-        return self._sent
+        self.last_ns = now_ns
+        return self.sent
 
     def _follows_ours(self, now_ns: int, way_ns: int) -> bool:
         """Whether what is sent now is the next at the autopilot after our last."""
@@ -77,11 +80,11 @@ class ResetCounter:
             return False  # how fast and how even it is is not known yet
         intervals = [after - before for before, after in pairwise(self._heard)]
         next_ns = self._heard[-1] + 2 * min(intervals) - max(intervals)
-        return self._heard[-1] <= self._last_ns + way_ns and now_ns + way_ns < next_ns
+        return self._heard[-1] <= self.last_ns + way_ns and now_ns + way_ns < next_ns
 
     def _move(self, usual: int) -> None:
         """Send another counter than before, and than the other's: the autopilot comes to ours."""
-        taken = (self._sent, self._other)
-        self._sent = next(
+        taken = (self.sent, self.other)
+        self.sent = next(
             k for k in (usual, usual % 255 + 1, (usual + 1) % 255 + 1) if k not in taken
         )

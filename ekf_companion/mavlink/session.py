@@ -488,7 +488,11 @@ class Session:
             if not self._is_pose_sent:
                 self.outbox.withhold(name, payload, now_ns)
                 return
-            payload = self._count(name, payload, now_ns)
+            usual, counter = payload[RESET_COUNTER[name]], self.second_source.counter
+            if counter.other is None and usual == counter.usual == counter.sent:
+                counter.last_ns, self._counter = now_ns, usual
+            else:
+                payload = self._count(name, payload, now_ns)
             if name != POSES[0]:
                 self._note_old_ardupilot()
         elif name in MESSAGES and not self.global_position.may_send(now_ns):
@@ -498,11 +502,12 @@ class Session:
 
     def _count(self, name: str, payload: bytes, now_ns: int) -> bytes:
         """Return a pose or velocity with the reset counter that is sent at present."""
+        usual, counter = payload[RESET_COUNTER[name]], self.second_source.counter
         if not self.guard.decision.is_fused:
+            counter.usual = counter.sent = usual
             return payload
-        usual = payload[RESET_COUNTER[name]]
         if name != POSES[-1]:
-            self._counter = self.second_source.counter.choose(
+            self._counter = counter.choose(
                 usual,
                 now_ns,
                 self.delivery.lag.last_ns,

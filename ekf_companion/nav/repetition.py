@@ -9,7 +9,7 @@ import math
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import exp, log
+from cython.cimports.libc.math import exp, isfinite, log
 
 from ekf_companion.nav.arrays import Array, Column, Const, Mask, Stamps, Table
 from ekf_companion.nav.earth import STANDARD_GRAVITY
@@ -189,7 +189,7 @@ class Repetition:
                 value = ax if axis == 3 else ay if axis == 4 else az
             leap = _LEAP if axis < 3 else _FORCE_LEAP
             is_near = is_near and abs(value - self._leapt[axis]) <= leap
-            if abs(value - self._steady[axis]) > leap:
+            if isfinite(value) and abs(value - self._steady[axis]) > leap:
                 is_far = True
                 is_same = is_same or value == self._leapt[axis]
         if is_far:

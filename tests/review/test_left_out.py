@@ -162,7 +162,7 @@ def test_single_spikes_of_a_gyro_are_left_out_and_named(rows, kind, axes, value,
     found = convert(rows, kind, tmp_path)
     # Of a .tlog the first 3 s await a better message
     assert left_out(found) == {SPIKE: pytest.approx(len(spikes), abs=2)}
-    assert "leap by more than 10 rad/s, and back" in found.notes
+    assert "leap by more than 10 rad/s or 32 g, and back" in found.notes
     assert verdict(found) == "good: no resets"
     assert worst(found.tilt, found, 20.0) < 2.0
 
