@@ -152,10 +152,11 @@ needs_npm = (
     not is_inplace and shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
 )
 sources = [str(path.relative_to(ROOT)) for path in modules.values()]
-for translated in (path.with_suffix(".c") for path in modules.values()):
-    # Directives may have changed; what failed to compile is dated before its source
-    if translated.exists() and translated.stat().st_mtime < (ROOT / THIS).stat().st_mtime:
-        translated.unlink()
+is_older = [
+    path.stat().st_mtime < (ROOT / THIS).stat().st_mtime
+    for path in (ROOT / Path(source).with_suffix(".c") for source in sources)
+    if path.exists()
+]
 setup(
     cmdclass={"build_ext": BuildWhatChanged, "build_py": BuildWithPage},
     # pip brings npm where the system has none
@@ -171,6 +172,8 @@ setup(
             )
             for name, source in zip(modules, sources, strict=True)
         ],
+        # Directives may have changed
+        force=any(is_older) or None,
         compiler_directives={
             "language_level": 3,
             "boundscheck": False,

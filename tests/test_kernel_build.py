@@ -107,18 +107,6 @@ def test_another_way_to_compile_compiles_all(checkout):
     assert all(after[name] > first[name] for name in first)
 
 
-def test_after_a_module_that_did_not_compile_only_that_one_is_compiled(checkout):
-    source = checkout / "ekf_companion/logs/csv_lines.py"
-    text = source.read_text()
-    source.write_text(f"{text}\ndef broken(\n")
-    with pytest.raises(AssertionError, match="broken"):
-        compiled(checkout, "build_ext", "--inplace")
-
-    source.write_text(text)
-    assert compiled(checkout, "build_ext", "--inplace") == ["logs/csv_lines"]
-    assert {*modules(checkout)} == {"csv_lines", "repetition"}
-
-
 def test_pip_names_the_folder_of_a_checkout_where_type_checkers_look(checkout):
     """Mypy and pyright follow a path in a .pth file, and no finder."""
     compiled(checkout, "editable_wheel", "--dist-dir", "dist")
