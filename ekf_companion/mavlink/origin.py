@@ -12,10 +12,10 @@ Its altitude is asked for again and again: ``resetHeightDatum`` moves it, before
 **PX4** that flies on ODOMETRY alone knows metres from a start and not where that is: it sends no
 global position, and flies no mission and no return. It takes the place of that start by
 SET_GPS_GLOBAL_ORIGIN. One that has an origin is asked for it, once: it reports it when it changes,
-and on request. Ours counts from it, and waits for it, half a second in flight: PX4 learns an offset
-between its frame and ours only while it fuses its receiver, and whoever switches that off first, as
-must be, finds it at our numbers as they are. With the daemon started 40 m from home, its vehicle
-flew on by 40 m.
+and on request. Ours counts from it, and waits two seconds for it: PX4 learns an offset between its
+frame and ours only while it fuses its receiver, and whoever switches that off first, as must be,
+finds it at our numbers as they are. With the daemon started 40 m from home, its vehicle flew on by
+40 m.
 
 That comes before the first ODOMETRY, and on the ground. PX4 1.18 that gets an origin while it fuses
 positions of ours counts the way from latitude and longitude 0 to the new place as the offset of
@@ -59,9 +59,6 @@ _PLACE = Struct("<3i")
 """Latitude and longitude, degE7, and altitude, mm: GPS_GLOBAL_ORIGIN begins with them."""
 _LISTEN_NS = 2 * SECOND_NS
 """So long after it was found, an autopilot that has an origin has shown it."""
-_ANSWER_NS = SECOND_NS // 2
-"""So long it takes to tell it on request: in flight a PX4 that has flown by ours gives its position
-up 5 s after the last message, and a restart has taken three of them."""
 _QUIET_NS = SECOND_NS
 """So long after the last ODOMETRY it fuses none."""
 _TAKING_NS = SECOND_NS // 2
@@ -203,8 +200,7 @@ class OriginSetter(Service):
         """Wait until PX4 has an origin, or was given ours."""
         family = Family.UNKNOWN if self._peer is None else self._peer.family
         may_tell = family is Family.PX4 and (self._has_one or self._is_flying())
-        patience_ns = _ANSWER_NS if self._is_flying() else _LISTEN_NS
-        if may_tell and self.theirs is None and waited_ns < patience_ns:
+        if may_tell and self.theirs is None and waited_ns < _LISTEN_NS:
             self.hold = _SOON
             return
         is_wanted = family is Family.PX4 and not self._has_one and self._ours is not None

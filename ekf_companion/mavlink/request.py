@@ -128,10 +128,10 @@ class Requests(Service):
             if is_ardupilot or name not in _ARDUPILOTS
         )
         if self._wanted:
+            if peer.family is Family.PX4:
+                # It tells it when it changes, which may have been long ago
+                self._wanted.append(_Request("GPS_GLOBAL_ORIGIN", None))
             self._wanted.append(_Request("AUTOPILOT_VERSION", None))
-        if self._wanted and peer.family is Family.PX4:
-            # It tells it when it changes, which may have been long ago; ODOMETRY counts from it
-            self._wanted.insert(1, _Request("GPS_GLOBAL_ORIGIN", None))
 
     def end(self) -> None:
         """Request nothing: nobody would hear."""
