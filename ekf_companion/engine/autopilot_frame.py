@@ -1,13 +1,11 @@
 """ODOMETRY in the local frame of the autopilot that follows it: its origin, its metres, its height.
 
 An autopilot takes the numbers of ODOMETRY for places in its own local frame, and turns them into
-latitude and longitude by its own projection. So they count from the origin that it has told. PX4
-learns an offset to ours while it fuses its receiver, but where it has just ceased to, it takes our
-numbers as they are. Its altitude is left alone: it compares heights with its own sensors', and one
-that was given an origin tells an altitude of 0. And ArduPilot on its own sensors takes the height
-from the barometer, above an altitude that its receiver said once: 4 m off after a cold start. It
-would climb by what ours is better at the moment it is switched to ODOMETRY. So heights are sent
-above its own datum, for as long as it is not ours anyway.
+latitude and longitude by its own projection. ArduPilot counts from the origin that it has told,
+PX4 keeps an offset to ours by itself. And ArduPilot on its own sensors takes the height from the
+barometer, above an altitude that its receiver said once: 4 m off after a cold start. It would climb
+by what ours is better at the moment it is switched to ODOMETRY. So heights are sent above its own
+datum, for as long as it is not ours anyway.
 
 Sources: ArduPilot, ``Location::get_distance_NE``, ``NavEKF3_core::getLLH``, ``getOriginLLH``,
 ``selectHeightForFusion``, ``CorrectExtNavForSensorOffset``; PX4, ``MapProjection``,
@@ -102,9 +100,9 @@ class AutopilotFrame:
 
     def set_origin(self, origin: Place) -> None:
         """Count from an origin of the autopilot."""
-        if self._family not in PROJECTIONS:
+        if self._family is not Family.ARDUPILOT:
             return
-        if self.origin is None and self._family is Family.ARDUPILOT:
+        if self.origin is None:
             self.datum, self._last_ns = self._kept or 0.0, None
         self.origin = origin
         self.changes += 1
@@ -145,14 +143,14 @@ class AutopilotFrame:
         if self.origin is None:
             return own
         lat, lon, alt = self.origin
-        return lat, lon, own[2] if self._family is Family.PX4 else alt - self.datum
+        return lat, lon, alt - self.datum
 
     def distance(self, place: Place) -> float:
         """Return how far the autopilot's origin is from a place, in all axes, m; 0 without one."""
         if self.origin is None or self._projection is None:
             return 0.0
         level = self._projection.to_metres(*self.origin[:2], *place[:2])
-        return math.hypot(*level, self.counts_from(place)[2] + self.datum - place[2])
+        return math.hypot(*level, self.origin[2] - place[2])
 
     def place(self, own: Place | None) -> tuple[float, ...] | None:
         """Return where positions are put, as :class:`Follower` expresses them.

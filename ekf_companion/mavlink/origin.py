@@ -11,11 +11,7 @@ Its altitude is asked for again and again: ``resetHeightDatum`` moves it, before
 
 **PX4** that flies on ODOMETRY alone knows metres from a start and not where that is: it sends no
 global position, and flies no mission and no return. It takes the place of that start by
-SET_GPS_GLOBAL_ORIGIN. One that has an origin is asked for it, once: it reports it when it changes,
-and on request. Ours counts from it, and waits two seconds for it: PX4 learns an offset between its
-frame and ours only while it fuses its receiver, and whoever switches that off first, as must be,
-finds it at our numbers as they are. With the daemon started 40 m from home, its vehicle flew on by
-40 m.
+SET_GPS_GLOBAL_ORIGIN; an offset between its frame and ours it keeps by itself.
 
 That comes before the first ODOMETRY, and on the ground. PX4 1.18 that gets an origin while it fuses
 positions of ours counts the way from latitude and longitude 0 to the new place as the offset of
@@ -156,7 +152,10 @@ class OriginSetter(Service):
         self.is_settled = self.is_shown and self._is_counted_from()
 
     def _is_counted_from(self) -> bool:
-        """Return whether the autopilot's origin can be counted from, as far as it must be."""
+        """Return whether the autopilot's origin, as far as it must be known, can be counted from.
+
+        PX4 keeps the offset to ours by itself.
+        """
         if self._peer is None or self._peer.family is not Family.ARDUPILOT:
             return self._peer is not None
         return self.theirs is not None and self._has_height and self._distant() is None
@@ -199,10 +198,6 @@ class OriginSetter(Service):
     def _wait_for_px4(self, now_ns: int, waited_ns: int) -> None:
         """Wait until PX4 has an origin, or was given ours."""
         family = Family.UNKNOWN if self._peer is None else self._peer.family
-        may_tell = family is Family.PX4 and (self._has_one or self._is_flying())
-        if may_tell and self.theirs is None and waited_ns < _LISTEN_NS:
-            self.hold = _SOON
-            return
         is_wanted = family is Family.PX4 and not self._has_one and self._ours is not None
         if not is_wanted or self._is_flying():
             self.hold = None
@@ -247,5 +242,5 @@ class OriginSetter(Service):
     def _show(self) -> None:
         """Learn that the autopilot knows where it is."""
         self._has_one = True
-        if self._peer is None or self._peer.family not in (Family.ARDUPILOT, Family.PX4):
+        if self._peer is None or self._peer.family is not Family.ARDUPILOT:
             self.hold = None

@@ -128,9 +128,6 @@ class Requests(Service):
             if is_ardupilot or name not in _ARDUPILOTS
         )
         if self._wanted:
-            if peer.family is Family.PX4:
-                # It tells it when it changes, which may have been long ago
-                self._wanted.append(_Request("GPS_GLOBAL_ORIGIN", None))
             self._wanted.append(_Request("AUTOPILOT_VERSION", None))
 
     def end(self) -> None:
