@@ -20,15 +20,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from fastcrc import crc16
 
 from benchmarks.document import table, write
 from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.intake import open_live
 from ekf_companion.logs import tlog
-from ekf_companion.mavlink.frame import id_of
-from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.frame import id_of, parsed
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import COLUMNS, Status
 from sim_autopilot.__main__ import app
@@ -168,9 +168,10 @@ def own_samples(apart: float, frames: list[Delivered]) -> list[Delivered]:
 
 def _numbered(frame: bytes, sequence: int) -> bytes:
     """Return a frame of MAVLink 2 with another sequence number."""
-    body = frame[1:4] + bytes([sequence & 0xFF]) + frame[5 : 10 + frame[1]]
-    crc = crc16.mcrf4xx(body + CRC_EXTRAS[id_of(frame)])
-    return frame[:1] + body + crc.to_bytes(2, "little")
+    one = parsed(id_of(frame), frame)
+    sender = Sender(one.system_id, one.component_id)
+    sender.sequence = sequence & 0xFF
+    return sender.frame(LAYOUTS[one.message_id].name, one.payload)
 
 
 def troubles() -> Iterator[Trouble]:

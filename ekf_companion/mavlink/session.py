@@ -201,8 +201,6 @@ class Session:
         """Who sent the last frame of the autopilot."""
         self._is_pose_sent = False
         """Whether the last pose was sent; the velocity beside it goes with it."""
-        self._counter = 0
-        """Reset counter of the last pose that was sent."""
         self._held: Hold | None = None
         """What was announced last."""
         self._vehicle: PeerFound | None = None
@@ -490,7 +488,7 @@ class Session:
                 return
             usual, counter = payload[RESET_COUNTER[name]], self.second_source.counter
             if counter.other is None and usual == counter.usual == counter.sent:
-                counter.last_ns, self._counter = now_ns, usual
+                counter.last_ns = now_ns
             else:
                 payload = self._count(name, payload, now_ns)
             if name != POSES[0]:
@@ -507,16 +505,16 @@ class Session:
             counter.usual = counter.sent = usual
             return payload
         if name != POSES[-1]:
-            self._counter = counter.choose(
+            counter.choose(
                 usual,
                 now_ns,
                 self.delivery.lag.last_ns,
                 is_followed=not self.following.state.apart,
             )
-        if self._counter == usual:
+        if counter.sent == usual:
             return payload
         changed = bytearray(payload)
-        changed[RESET_COUNTER[name]] = self._counter
+        changed[RESET_COUNTER[name]] = counter.sent
         return bytes(changed)
 
     def _note_old_ardupilot(self) -> None:

@@ -9,7 +9,7 @@ import math
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import exp, isfinite, log
+from cython.cimports.libc.math import exp, isfinite, isnan, log
 
 from ekf_companion.nav.arrays import Array, Column, Const, Mask, Stamps, Table
 from ekf_companion.nav.earth import STANDARD_GRAVITY
@@ -179,7 +179,7 @@ class Repetition:
         are wrong.
         """
         is_far = is_same = False
-        if math.isnan(self._steady[0]) and max(abs(ax), abs(ay), abs(az)) <= _RANGE:
+        if isnan(self._steady[0]) and max(abs(ax), abs(ay), abs(az)) <= _RANGE:
             for axis in range(3):
                 self._steady[axis] = 0.0
         is_near = True

@@ -22,15 +22,13 @@ from cython.cimports.ekf_companion.core.filter.past import acceleration_noise, l
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.slow_error import scale_correlation, set_variance
 from cython.cimports.ekf_companion.core.filter.update import apply_delay_update, innovate
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.constants import NEVER, SHORTEST_GAIN
 from cython.cimports.ekf_companion.core.memory.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import fabs
 
-SHORTEST = cython.declare(cython.double, 0.7e9)
-"""Between the fixes that are compared, ns: long enough for the velocity to change."""
 LONGEST = cython.declare(cython.double, 1.6e9)
 """ns; in a longer time tilt and biases tell."""
 MEMORY = cython.declare(cython.double, 40.0)
@@ -58,7 +56,7 @@ LONGEST_WAIT = cython.declare(cython.double, 0.6e9)
 def keep_fix(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     """Keep a fix with velocity until the samples have come that say what happened meanwhile."""
     end = address(x.gain.end)
-    if x.P[E_DELAY][E_DELAY] == 0.0 or end.t > NEVER or x.t - x.gain.begin.t < SHORTEST:
+    if x.P[E_DELAY][E_DELAY] == 0.0 or end.t > NEVER or x.t - x.gain.begin.t < SHORTEST_GAIN:
         return
     lever_arm.write_lever_arm(x, k, o)
     end.t = x.t

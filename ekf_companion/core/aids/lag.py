@@ -17,21 +17,22 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import wrap
-from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import (
+    NEVER,
+    SHORTEST_GAIN,
+    THREE_SIGMA2,
+    WITHOUT_FIX,
+)
 from cython.cimports.ekf_companion.core.memory.enums import AID_VELOCITY
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.libc.math import isnan
 
-SHORTEST = cython.declare(cython.double, 0.7e9)
-"""Over which a gain is taken, ns: long enough for the velocity to change, as of the delay."""
-LONGEST_STEP = cython.declare(cython.double, 1.1e9)
-"""Between two fixes, ns: a velocity that bends more than that adds up to another way."""
 FIRST_ERROR = cython.declare(cython.double, 0.25)
-"""Variance of a gain of the position, m^2, until it is learnt: (0.5 m)^2."""
-FIRST_GAINS = cython.declare(cython.double, 4.0)
-"""Weight of that, in gains."""
+"""Variance of a gain of the position, m^2, that counts as one gain until some have shown it: half a
+metre. From a quarter of it to four times, the lag of 48 flights is as near to the true one: 0.004,
+0.021 and 0.065 s RMS, where a position has noise of 0.1, 0.5 and 1.5 m."""
 
 
 def forget(x: State) -> None:
@@ -45,15 +46,17 @@ def forget(x: State) -> None:
     lag.left2 = 0.0
 
 
-def take(x: State, k: Parameters, fix: Fix) -> None:
-    """Learn the lag from a fix, and take the fix to have it."""
+def take(x: State, k: Parameters, fix: Fix) -> float:
+    """Learn the lag from a fix, and take the fix to have it; return by how much it moved, s."""
+    before = x.lag.late
     if k.lag_std == 0.0 or k.use_velocity == 0.0 or isnan(fix.vel_n[0]):
         x.lag.last_t = NEVER
-        return
+        return 0.0
     if x.origin.is_known != 0.0:
         learn(x, k, fix)
     fix.lag = x.lag.late
     fix.lag_var = variance(x, k)
+    return x.lag.late - before
 
 
 def variance(x: State, k: Parameters) -> float:
@@ -67,14 +70,14 @@ def learn(x: State, k: Parameters, fix: Fix) -> None:
     north = (fix.lat - x.origin.lat) * x.origin.scale_n
     east = wrap(fix.lon - x.origin.lon) * x.origin.scale_e
     step = x.t - lag.last_t
-    if not 0.0 < step <= LONGEST_STEP:
+    if not 0.0 < step <= WITHOUT_FIX * 1e9:
         begin(x, fix, north, east)
         return
     for i in range(2):
         lag.way[i] += 0.5e-9 * step * (fix.vel_n[i] + lag.last_vel[i])
         lag.last_vel[i] = fix.vel_n[i]
     lag.last_t = x.t
-    if x.t - lag.t >= SHORTEST:
+    if x.t - lag.t >= SHORTEST_GAIN:
         compare(x, k, fix, north, east)
         begin(x, fix, north, east)
 
@@ -122,4 +125,4 @@ def error_var(x: State) -> float:
     if lag.changed4 > 0.0:
         gains = lag.changed2 * lag.changed2 / lag.changed4
     learnt = lag.left2 / lag.changed2 if lag.changed2 > 0.0 else 0.0
-    return (FIRST_GAINS * FIRST_ERROR + gains * learnt) / (FIRST_GAINS + gains)
+    return (FIRST_ERROR + gains * learnt) / (1.0 + gains)

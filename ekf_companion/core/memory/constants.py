@@ -23,6 +23,9 @@ SETTLING = 0.1
 after its first fix, 5 and 17 s."""
 FADES = 60.0
 """Time constant with which it is forgotten that a source has failed, s."""
+SHORTEST_GAIN = 0.7e9
+"""Between the fixes by which a delay or a lag is learnt, ns: long enough for the velocity to
+change."""
 SAME_CAUSE = 2.0
 """Time within which the refusals of two measurements of a receiver have one cause, s."""
 WITHOUT_FIX = 2.0

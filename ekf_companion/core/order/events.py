@@ -11,7 +11,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     KIND_MAG,
     KIND_VEHICLE,
 )
-from cython.cimports.ekf_companion.core.memory.overlay import Numbers
+from cython.cimports.ekf_companion.core.memory.overlay import Numbers, Structs
 from cython.cimports.ekf_companion.core.memory.scratch import VALUES, Event
 from cython.cimports.ekf_companion.core.order import dispatch
 from cython.cimports.libc.math import fabs, isfinite, isnan
@@ -40,6 +40,27 @@ def compare(row: Event, t: float, kind: int, values: Numbers) -> int:
         if a != b:
             return -1 if a < b else 1
     return 0
+
+
+def is_late(values: Numbers) -> bool:
+    """Return whether it is known of an inertial sample that it is late: ``ImuRow.is_late``."""
+    return values[10] != 0.0
+
+
+def last_sample(rows: Structs, size: int, t: float) -> int:
+    """Return the last inertial one of some rows in order of time that is not later; -1: none."""
+    i = size - 1
+    while i >= 0 and (rows[i].kind != KIND_IMU or rows[i].t > t):
+        i -= 1
+    return i
+
+
+def next_sample(rows: Structs, size: int, i: int) -> int:
+    """Return the first inertial row after the i-th; ``size``: none."""
+    i += 1
+    while i < size and rows[i].kind != KIND_IMU:
+        i += 1
+    return i
 
 
 def is_sane(kind: int, values: Numbers) -> bool:

@@ -115,9 +115,7 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     learn_field(x, values)
     read_fix(x, k, fix, values)
     if not flags & FLAG_DERIVED:
-        before = x.lag.late
-        lag.take(x, k, fix)
-        delay.follow_lag(x, k, x.lag.late - before)
+        delay.follow_lag(x, k, lag.take(x, k, fix))
     if x.origin.is_known != 0.0 and k.weighs_faults != WEIGH_ACT:
         force.compare(x, fix)
         slide.compare_fixes(x, fix)

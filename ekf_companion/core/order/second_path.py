@@ -15,10 +15,9 @@ from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
 from cython.cimports.ekf_companion.core.memory.enums import E_ATT, E_VEL, KIND_IMU
 from cython.cimports.ekf_companion.core.memory.overlay import Structs
 from cython.cimports.ekf_companion.core.memory.state import State
+from cython.cimports.ekf_companion.core.order.events import last_sample, next_sample
 from cython.cimports.ekf_companion.core.order.stamps import Held
 from cython.cimports.libc.math import atan2, exp, fabs, log, sqrt
-
-AXES = cython.declare(cython.Py_ssize_t, 6)
 
 
 def weigh_second_path(rows: Structs, size: int, held: Held, offset: int) -> float:
@@ -36,8 +35,9 @@ def weigh_second_path(rows: Structs, size: int, held: Held, offset: int) -> floa
     for i in range(held.size):
         if held.kind[i] == KIND_IMU:
             samples += 1
+    newest = last_sample(rows, size, rows[size - 1].t)
     ratio = cython.declare(cython.double, 0.0)
-    for axis in range(AXES):
+    for axis in range(6):
         near = _difference(rows, size, axis, 1)
         far = _difference(rows, size, axis, samples)
         if near <= 0.0 or far <= near:
@@ -49,13 +49,8 @@ def weigh_second_path(rows: Structs, size: int, held: Held, offset: int) -> floa
             if held.kind[i] != KIND_IMU:
                 continue
             t = cython.cast(cython.double, held.t_ns[i] - offset)
-            after = size - 1
-            while after >= 0 and (rows[after].kind != KIND_IMU or rows[after].t > t):
-                after -= 1
-            before = after
-            after += 1
-            while after < size and rows[after].kind != KIND_IMU:
-                after += 1
+            before = last_sample(rows, size, t)
+            after = next_sample(rows, size, before)
             if before < 0 or after == size:
                 continue
             part = (t - rows[before].t) / (rows[after].t - rows[before].t)
@@ -63,19 +58,11 @@ def weigh_second_path(rows: Structs, size: int, held: Held, offset: int) -> floa
             b = rows[after].values.all[axis]
             value = held.values[i, axis]
             again += (value - a - part * (b - a)) ** 2
-            anew += (value - _newest(rows, size, axis)) ** 2
+            anew += (value - rows[newest].values.all[axis]) ** 2
             count += 1
         if count > 0:
             ratio += 0.5 * ((anew / far - again / near) / count + log(far / near))
     return ratio
-
-
-def _newest(rows: Structs, size: int, axis: int) -> float:
-    """Return an axis of the newest sample."""
-    i = size - 1
-    while i > 0 and rows[i].kind != KIND_IMU:
-        i -= 1
-    return rows[i].values.all[axis]
 
 
 def _difference(rows: Structs, size: int, axis: int, steps: int) -> float:
