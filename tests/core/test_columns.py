@@ -118,7 +118,7 @@ def test_what_is_a_copy_of_another_error_owes_to_the_fault_what_that_does():
 
 def test_what_begins_and_ends_leaves_all_others_as_they_are():
     b, rng = Bank(), np.random.default_rng(2)
-    load().hypotheses.begin(a_state(2), b)
+    load().hypotheses.begin(a_state(2), some_parameters(), b)
     expected = {}
     for step in range(400):
         if b.n and rng.random() < 0.4:

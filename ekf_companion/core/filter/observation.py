@@ -24,3 +24,11 @@ def add_timing_noise(o: Observation, var: float, rate: Vector) -> None:
     for r in range(o.rows):
         for c in range(o.rows):
             o.R[r][c] += var * rate[r] * rate[c]
+
+
+def row_variance(o: Observation, r: int) -> float:
+    """Return the variance of a row of the innovation."""
+    var = 0.0
+    for j in range(r + 1):
+        var += o.L[r][j] * o.L[r][j]
+    return var

@@ -131,6 +131,10 @@ class Bank:
     """When each aid was read last, ns."""
     read_dt: Real
     """How long ago the reading before the one that is judged was, s."""
+    last: Annotated[Vector, AIDS, 3]
+    """Innovation of each row of an aid at its reading before."""
+    last_var: Annotated[Vector, AIDS, 3]
+    """Its variance."""
     led: Annotated[Vector, AIDS, 3]
     """How far each row of an aid is led away from ours, if it follows a wandering velocity."""
     led_var: Annotated[Vector, AIDS, 3]

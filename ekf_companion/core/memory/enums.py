@@ -175,52 +175,54 @@ class Fault(IntEnum):
     YAW = 21
     KICK = 22
     """Our velocity is off: a shock beyond what the samples show."""
-    FIELD = 23
+    STATE_WILD = 23
+    """Our attitude, velocity and position are wrong in no shape."""
+    FIELD = 24
     """A magnetic field beside the Earth's, fixed in n."""
-    BODY_FIELD = 24
+    BODY_FIELD = 25
     """The same, fixed in the vehicle."""
-    HEADING_STEP = 25
+    HEADING_STEP = 26
     """A heading of another source is off."""
-    DELAY = 26
+    DELAY = 27
     """The fixes are later than they are taken for."""
-    LEVER = 27
+    LEVER = 28
     """The antenna is elsewhere."""
-    RECOVERY = 28
+    RECOVERY = 29
     """Position and horizontal velocity are right again: what was declared of them has ended."""
-    RECOVERY_HEIGHT = 29
+    RECOVERY_HEIGHT = 30
     """Height and vertical velocity are."""
-    HALT = 30
+    HALT = 31
     """A declared slide of the position has ended where it was."""
-    HALT_HEIGHT = 31
-    HALT_BARO = 32
-    FADE = 33
+    HALT_HEIGHT = 32
+    HALT_BARO = 33
+    FADE = 34
     """What was declared of the position fades, as a receiver settles again."""
-    FADE_HEIGHT = 34
-    POSITION_WILD = 35
+    FADE_HEIGHT = 35
+    POSITION_WILD = 36
     """It is wrong in no shape: no reading says anything of the next one."""
-    RECEIVER_WILD = 36
+    RECEIVER_WILD = 37
     """Position and horizontal velocity are."""
-    VELOCITY_WILD = 37
-    CLIMB_WILD = 38
-    HEIGHT_WILD = 39
-    FALL_WILD = 40
+    VELOCITY_WILD = 38
+    CLIMB_WILD = 39
+    HEIGHT_WILD = 40
+    FALL_WILD = 41
     """Height and vertical velocity are."""
-    SETTLE = 41
+    SETTLE = 42
     """The position settles after the first fix, from which ours began."""
-    SETTLE_HEIGHT = 42
-    LED = 43
+    SETTLE_HEIGHT = 43
+    LED = 44
     """Our position was led away while no receiver could contradict that."""
-    LED_ON = 44
+    LED_ON = 45
     """It was, and our velocity still is."""
-    RECOVERY_HEADING = 45
+    RECOVERY_HEADING = 46
     """A heading is right that was off from the first one on; or what was declared of it fades."""
-    ACCEL_LOUD = 46
+    ACCEL_LOUD = 47
     """What an accelerometer whose noise has leapt has done to the velocity."""
-    GYRO_LOUD = 47
+    GYRO_LOUD = 48
     """What such a gyro has done to the attitude."""
-    ACCEL_NOISE = 48
+    ACCEL_NOISE = 49
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 49
+    GYRO_NOISE = 50
 
 
 class Source(IntEnum):

@@ -59,6 +59,8 @@ FAULTS = {
     Fault.TILT: Prior(Source.STATE, 2, 0.05, 0.5, 1.0, RAMP, ALL),
     Fault.YAW: Prior(Source.STATE, 1, 0.3, 0.3, 0.02, RAMP, ALL),
     Fault.KICK: Prior(Source.STATE, 3, 0.5, 0.5, 1.0, RAMP, ALL),
+    # the tenth of these that has no shape any more: a blow, a gyro that turns by itself
+    Fault.STATE_WILD: Prior(Source.STATE, 1, 1.0, 1.0, 0.1, RAMP, ALL),
     # a share of the way that it may have moved meanwhile, and of its speed
     Fault.LED: Prior(Source.STATE, 2, 0.3, 1.0, 1.0, STEP, LEVEL),
     Fault.LED_ON: Prior(Source.STATE, 4, 0.3, 1.0, 1.0, STEP, LEVEL),

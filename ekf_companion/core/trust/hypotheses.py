@@ -17,6 +17,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
+from cython.cimports.ekf_companion.core.filter.observation import row_variance
 from cython.cimports.ekf_companion.core.filter.slow_error import carried
 from cython.cimports.ekf_companion.core.memory.bank import COMPONENTS, Bank, Instance
 from cython.cimports.ekf_companion.core.memory.constants import EVEN, FADES, NEVER, THREE_SIGMA2
@@ -31,6 +32,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_ACCEL_NOISE,
     FAULT_GYRO_NOISE,
     FAULT_RECOVERY,
+    FAULT_STATE_WILD,
     MODE_NAVIGATE,
     SHOWS_ALL,
     SHOWS_LEVEL,
@@ -44,7 +46,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import delay_search, onsets, score, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, lost, onsets, score, shape
 from cython.cimports.libc.math import exp, fabs, log
 
 GATE = cython.declare(cython.double, 9.0)
@@ -80,7 +82,7 @@ more than at 10; with 5 a barometer's step was missed in a report. They correct 
 the columns, all the same."""
 
 
-def begin(x: State, b: Bank) -> None:
+def begin(x: State, k: Parameters, b: Bank) -> None:
     """Begin with no instance."""
     b.n = 0
     b.pairs = 0
@@ -100,6 +102,7 @@ def begin(x: State, b: Bank) -> None:
         if not b.common[aid] >= 1.0:
             b.common[aid] = 1.0
     score.begin(x, b)
+    lost.begin(k, b)
     delay_search.forget(b)
     columns.stand(b)
 
@@ -108,7 +111,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     """Weigh an observation as :func:`~.update.innovate` left it, before it corrects anything."""
     b = address(o.bank[0])
     if x.resets + 1.0 != b.resets or x.mode != MODE_NAVIGATE or x.needs_reset != 0.0:
-        begin(x, b)
+        begin(x, k, b)
         b.resets = x.resets + 1.0
     if x.mode != MODE_NAVIGATE or x.needs_reset != 0.0 or x.has_yaw == 0.0:
         return
@@ -156,6 +159,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         weigh_reading(x, k, b, i, o, aid, b.work, share)
     if aid < AID_VELOCITY:
         follow_led(k, b, o, aid)
+    lost.keep(b, o, aid)
     renew(k, b, aid)
     onsets.thin(x, k, b)
     find_posterior(x, k, b)
@@ -240,14 +244,6 @@ def learn_erratic(x: State, k: Parameters, b: Bank, o: Observation, aid: int) ->
             b.erratic_var[aid][g] = var
 
 
-def row_variance(o: Observation, r: int) -> float:
-    """Return the variance of a row of the innovation."""
-    var = 0.0
-    for j in range(r + 1):
-        var += o.L[r][j] * o.L[r][j]
-    return var
-
-
 def cost(nis: float, rows: float) -> float:
     """Return what a NIS costs, in its own unit, where the reading may be an outlier instead."""
     most = OUTLIER + OUTLIER_ROW * rows
@@ -272,6 +268,9 @@ def weigh_reading(
     h = address(b.instance[i])
     if shape.is_wild(h.kind):
         weigh_erratic(x, k, b, h, o, aid, nothing, share)
+        return
+    if h.kind == FAULT_STATE_WILD:
+        weigh_lost(x, k, b, h, o, aid, nothing, share)
         return
     to = address(b.trial)
     rows = h.rows
@@ -350,6 +349,23 @@ def weigh_erratic(
     if gain < 0.0 and h.is_wide != 0.0 and share * alike(b, aid) > 1.0:
         share = 1.0 / alike(b, aid)
     h.evidence += share * gain
+
+
+def weigh_lost(
+    x: State,
+    k: Parameters,
+    b: Bank,
+    h: Instance,
+    o: Observation,
+    aid: int,
+    nothing: Vector,
+    share: float,
+) -> None:
+    """Add what a reading says to the evidence that our own state is wrong in no shape."""
+    for g in range(2):
+        if b.rows[g] > 0.0:
+            wide = cost(lost.find_nis(x, k, b, o, aid, g), b.rows[g])
+            h.evidence += 0.5 * share * (nothing[g] - wide)
 
 
 def renew(k: Parameters, b: Bank, aid: int) -> None:
@@ -514,14 +530,19 @@ def explains(b: Bank) -> bool:
     """Return whether a fault is more likely than not, and explains its own last readings."""
     for i in range(b.n):
         h = address(b.instance[i])
-        if h.p > EVEN and h.recent < THREE_SIGMA2:
+        if h.p > EVEN and h.recent < THREE_SIGMA2 and h.kind != FAULT_STATE_WILD:
             return True
     return False
 
 
 def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
-    """Return how much more often a source fails that has just failed: it fades in a minute."""
+    """Return how much more often a source fails that has just failed: it fades in a minute.
+
+    Not a state that is lost: it has been found anew.
+    """
     failed_t = b.failed_t[k.fault[h.kind].source]
+    if h.kind == FAULT_STATE_WILD:
+        return 1.0
     if failed_t <= 0.0 or shape.is_end(h.kind) or (shape.is_wild(h.kind) and h.is_wide != 0.0):
         return 1.0
     return 1.0 + AGAIN * exp(1e-9 * (failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)

@@ -38,13 +38,13 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_GYRO_LOUD,
     FAULT_GYRO_NOISE,
     FAULT_HEADING_STEP,
-    FAULT_KICK,
     FAULT_LED,
     FAULT_LED_ON,
     FAULT_POSITION_STEP,
     FAULT_RECOVERY_HEADING,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
+    FAULT_STATE_WILD,
     SOURCE_NOISE,
     SOURCE_STATE,
     N,
@@ -119,7 +119,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         if b.has_begun == 0.0:
             b.has_begun = 1.0
             begin_settling(x, k, b)
-        begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_KICK)
+        begin_kinds(x, k, b, AID_HEIGHT, FAULT_ACCEL_STEP, FAULT_STATE_WILD)
         if x.t < b.proven_t:
             return
         if x.fix_dt > WITHOUT_FIX and was_led(x):

@@ -14,15 +14,22 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.columns import turn
-from cython.cimports.ekf_companion.core.filter.slow_error import add_variance
+from cython.cimports.ekf_companion.core.filter.slow_error import add_variance, reset_variance
 from cython.cimports.ekf_companion.core.filter.update import add_columns, inject
 from cython.cimports.ekf_companion.core.memory.bank import FOUND, Bank, Instance
-from cython.cimports.ekf_companion.core.memory.constants import FADES, NEVER, SETTLING, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import (
+    FADES,
+    NEVER,
+    SETTLING,
+    THREE_SIGMA2,
+    UNKNOWN_ANGLE,
+)
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
+    E_ATT,
     E_BARO,
     E_DELAY,
     E_GNSS,
@@ -49,10 +56,12 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_RECOVERY_HEADING,
     FAULT_SETTLE,
     FAULT_SETTLE_HEIGHT,
+    FAULT_STATE_WILD,
     FAULT_VELOCITY_LAG,
     FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
     FAULT_VELOCITY_TURN,
+    NEEDS_FIX,
     SHOWS_ALL,
     SOURCE_ACCEL,
     SOURCE_DRAG,
@@ -74,7 +83,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import delay_search, score, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, lost, score, shape
 from cython.cimports.ekf_companion.core.trust.onsets import begin_instance, drop
 from cython.cimports.libc.math import exp, log
 
@@ -130,12 +139,11 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
                     tell(x, b, h)
                 continue
             b.since[source] = NEVER
-            if not is_of_its_size(k, h):
-                give_up(x, k, o, best)
-                return
-            if is_told:
+            if is_told and (h.kind == FAULT_STATE_WILD or is_of_its_size(k, h)):
                 tell(x, b, h)
-            if shape.is_wild(h.kind):
+            if is_lost(k, h):
+                lose(x, k, o)
+            elif shape.is_wild(h.kind):
                 take_back(x, k, o, best, p)
             else:
                 repair(x, k, o, best, p)
@@ -157,15 +165,50 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     find_effect(x, b, i, 0.0, o.dx)
     add_columns(x, b, i, o.dx, 1.0)
     inject(x, o)
+    p = p if p < SUREST else SUREST
+    odds = 1.0 if score.is_noisy(x) else p / (1.0 - p)
+    go_on(b, i, odds)
     drop_others(k, b, k.fault[kind].shows, -1)
     if score.is_noisy(x):
         return
     h = address(b.instance[begin_instance(x, k, b, kind, 0.0)])
     h.t0 = onset
-    p = p if p < SUREST else SUREST
-    h.log_prior = log(p / (1.0 - p))
+    h.log_prior = log(odds)
     h.is_wide = 1.0
     h.p = p
+
+
+def is_lost(k: Parameters, h: Instance) -> cython.bint:
+    """Return whether our own state is lost by a fault: one of our own, larger than of any kind."""
+    is_ours = cython.declare(cython.bint, is_own(k, k.fault[h.kind].source))
+    return is_ours and (h.kind == FAULT_STATE_WILD or not is_of_its_size(k, h))
+
+
+def lose(x: State, k: Parameters, o: Observation) -> None:
+    """Go by the fixes alone until they have shown the attitude: our own state is lost.
+
+    So it is by an error of the inertial sensors, or of what was integrated of them, that is larger
+    than those of any kind.
+    """
+    b = address(o.bank[0])
+    b.declared[FAULT_STATE_WILD] += 1.0
+    b.failed_t[SOURCE_STATE] = x.t
+    let_go(x, k, b, o)
+    reset_variance(x, E_ATT, 3, UNKNOWN_ANGLE)
+    x.needs_reset = NEEDS_FIX
+    x.alignment.motion.has_fix = 0.0
+    x.alignment.reference.is_known = 0.0
+
+
+def go_on(b: Bank, i: int, odds: float) -> None:
+    """Let that our own state is lost go on beside an instance that is declared.
+
+    It has no size that the repair would change. The instance has these odds to nothing from now on.
+    """
+    shift = log(odds) - b.instance[i].evidence - b.instance[i].log_prior
+    for j in range(b.n):
+        if b.instance[j].kind == FAULT_STATE_WILD:
+            b.instance[j].evidence += shift
 
 
 def is_own(k: Parameters, source: int) -> cython.bint:
@@ -174,15 +217,6 @@ def is_own(k: Parameters, source: int) -> cython.bint:
         cython.bint, source == SOURCE_ACCEL or source == SOURCE_GYRO or source == SOURCE_STATE
     )
     return k.weighs_faults == WEIGH_ACT and is_ours
-
-
-def give_up(x: State, k: Parameters, o: Observation, i: int) -> None:
-    """Let our own state be as uncertain as it is off by what is of no kind, and weigh anew."""
-    b = address(o.bank[0])
-    columns.follow(x, b)
-    find_effect(x, b, i, 0.0, o.dx)
-    add_columns(x, b, i, o.dx, 1.0)
-    drop_others(k, b, k.fault[b.instance[i].kind].shows, -1)
 
 
 def is_of_its_size(k: Parameters, h: Instance) -> bool:
@@ -267,6 +301,7 @@ def repair(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
         condition(b, b.rival, o.dx, other / (p - other))
     spread(x, k, o, i, p - other)
     inject(x, o)
+    go_on(b, i, 1.0)
     doubt_it(k, b, i, o, p)
     if kind == FAULT_RECOVERY_HEADING:
         b.heading_off = 0.0
@@ -325,7 +360,8 @@ def drop_others(k: Parameters, b: Bank, shows: int, kept: int) -> None:
             cython.bint, shows != SHOWS_ALL and other != SHOWS_ALL and other != shows
         )
         is_noise = cython.declare(cython.bint, b.instance[j].kind >= FAULT_ACCEL_NOISE)
-        if j != b.kept and j != b.rival and not is_apart and not is_noise:
+        stays = cython.declare(cython.bint, is_noise or b.instance[j].kind == FAULT_STATE_WILD)
+        if j != b.kept and j != b.rival and not is_apart and not stays:
             drop(b, j)
         j -= 1
     b.kept = -1
@@ -641,6 +677,9 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
     for n in range(b.n):
         h = address(b.instance[n])
         if h.p < UNLIKELY:
+            continue
+        if is_lost(k, h):
+            lost.widen(b, h.p)
             continue
         for i in range(9):
             b.work[i] = 0.0
