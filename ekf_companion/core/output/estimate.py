@@ -169,7 +169,7 @@ def judge_state(x: State, k: Parameters) -> int:
     for e in range(E_ATT, E_ATT + 3):
         if x.P[e][e] > VAGUE_VAR:
             reasons |= REASON_ATTITUDE
-    if is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
+    if not is_judged and is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
         # where there never was a compass, turns show the heading as well
         is_wrong = is_refused(x, AID_HEADING)
         if x.azimuth >= AZIMUTH_MAGNETIC:
