@@ -1,5 +1,7 @@
 """The smoother against a batch solution, against itself, and against what is possible."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,26 @@ def rows_of(events: Events, settings: FilterSettings = KNOWN) -> np.ndarray:
 
 def smoother(settings: FilterSettings = KNOWN, kind=Smoother):
     return kind(parameters(settings, "unknown"))
+
+
+def first(one: Smoother) -> tuple[np.ndarray, np.ndarray]:
+    """Return the state at the start, and its fault hypotheses."""
+    return np.zeros(BLOCK), one.bank()
+
+
+def go(one: Smoother, start: tuple[np.ndarray, np.ndarray], rows: np.ndarray):
+    """Advance from a state and its fault hypotheses; return those after the rows."""
+    one.set_bank(start[1])
+    return one.advance(start[0], rows), one.bank()
+
+
+def back(one: Smoother, start: tuple[np.ndarray, np.ndarray], rows: np.ndarray, later):
+    """Smooth from a state and its fault hypotheses."""
+    one.set_bank(start[1])
+    return one.smooth(start[0], rows, later)
+
+
+MODES = pytest.mark.parametrize("settings", [KNOWN, replace(KNOWN, weigh_faults="act")], ids=["off", "act"])
 
 
 def records(blocks: np.ndarray) -> np.ndarray:
@@ -189,45 +211,49 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
     assert moved > 1.0
 
 
-def test_interpreted_and_compiled_agree_to_the_last_bit():
+@MODES
+def test_interpreted_and_compiled_agree_to_the_last_bit(settings):
     events, _ = flight("figure-eight", duration=12.0, rate=50.0, yaw=True)
     rows = rows_of(events.take(between(events, 3.2, 5.8)))
     ends = []
     for kind in (Smoother, load().rts.Smoother):
-        one = smoother(kind=kind)
-        start = one.advance(np.zeros(BLOCK), rows[:50])
-        later = one.smooth(one.advance(start, rows[50:200]), rows[200:], None)
-        blocks = one.smooth(start, rows[50:200], later[0])
+        one = smoother(settings, kind)
+        start = go(one, first(one), rows[:50])
+        later = back(one, go(one, start, rows[50:200]), rows[200:], None)
+        blocks = back(one, start, rows[50:200], later[0])
         ends.append((blocks.tobytes(), one.describe(blocks[1:]).tobytes()))
         assert as_state(blocks[-1]).mode == Mode.NAVIGATE
     assert ends[0] == ends[1]
 
 
-def test_a_flight_in_pieces_is_smoothed_as_in_one_piece():
+@MODES
+def test_a_flight_in_pieces_is_smoothed_as_in_one_piece(settings):
     events, _ = flight("figure-eight", duration=20.0, rate=50.0)
-    rows, one = rows_of(events), smoother()
+    rows, one = rows_of(events), smoother(settings)
+    starts = [first(one)]
     whole = one.smooth(np.zeros(BLOCK), rows, None)
     ends = np.flatnonzero(kinds(rows) == Kind.IMU)[[150, 151, 400, 700, -1]] + 1
-    starts = [np.zeros(BLOCK)]
-    for first, end in zip([0, *ends], ends, strict=False):
-        starts.append(one.advance(starts[-1], rows[first:end]))
+    for begin, end in zip([0, *ends], ends, strict=False):
+        starts.append(go(one, starts[-1], rows[begin:end]))
     later, parts = None, []
     for index in reversed(range(5)):
-        blocks = one.smooth(starts[index], rows[[0, *ends][index] : ends[index]], later)
+        blocks = back(one, starts[index], rows[[0, *ends][index] : ends[index]], later)
         later = blocks[0]
         parts.insert(0, blocks[1:])
     np.testing.assert_allclose(np.concatenate(parts), whole[1:], rtol=1e-9, atol=1e-12)
 
 
-def test_the_last_estimate_is_that_of_the_filter_and_no_sigma_is_larger_than_its():
+@MODES
+def test_the_last_estimate_is_that_of_the_filter_and_no_sigma_is_larger_than_its(settings):
     events, _ = flight("figure-eight", duration=30.0, rate=50.0)
-    rows, one = rows_of(events), smoother()
+    rows, one = rows_of(events), smoother(settings)
+    now, live, begin = first(one), [], 0
     blocks = one.smooth(np.zeros(BLOCK), rows, None)[1:]
-    live, first = [np.zeros(BLOCK)], 0
     for end in np.flatnonzero(kinds(rows) == Kind.IMU) + 1:
-        live.append(one.advance(live[-1], rows[first:end]))
-        first = end
-    live = np.array(live[1:])
+        now = go(one, now, rows[begin:end])
+        live.append(now[0])
+        begin = end
+    live = np.array(live)
     np.testing.assert_allclose(blocks[-1], live[-1], rtol=1e-12, atol=1e-15)
     late = records(live)["mode"] == Mode.NAVIGATE
     sigmas = [np.sqrt(np.diagonal(records(b)["P"][late], axis1=1, axis2=2)) for b in (blocks, live)]
