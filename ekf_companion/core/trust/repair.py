@@ -133,7 +133,9 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
         elif h.recent > THREE_SIGMA2 or not (is_of_its_size(k, h) or is_own(k, source)):
             b.since[source] = x.t
         elif x.t - b.since[source] >= (patience if h.recent < UNEXPLAINED else 2.0 * patience):
-            is_told = cython.declare(cython.bint, p - find_rival(k, b, best) >= SURE)
+            is_told = cython.declare(
+                cython.bint, p - find_rival(k, b, best) >= SURE and not is_learnt(x, h)
+            )
             if k.weighs_faults != WEIGH_ACT:
                 if is_told:
                     tell(x, b, h)
@@ -148,6 +150,12 @@ def decide(x: State, k: Parameters, o: Observation) -> None:
             else:
                 repair(x, k, o, best, p)
             return
+
+
+def is_learnt(x: State, h: Instance) -> cython.bint:
+    """Return whether a delay is off by no more than it is not known by anyway: that is no fault."""
+    square = h.b[0] * h.b[0]
+    return h.kind == FAULT_DELAY and square <= THREE_SIGMA2 * x.P[E_DELAY][E_DELAY]
 
 
 def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None:
