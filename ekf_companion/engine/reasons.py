@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from ekf_companion.core.memory.constants import FROZEN
 from ekf_companion.core.memory.enums import Aid, Azimuth
 from ekf_companion.core.memory.state import State
 from ekf_companion.nav.reason import ORDER, WORDS
@@ -15,6 +16,7 @@ from ekf_companion.nav.state import Reason
 
 LONGEST_WORDS = 29
 """Characters: of 50, without ``Companion: degraded: ``."""
+_MISSING = (Reason.POSITION_MISSING, Reason.HEIGHT_MISSING, Reason.UNAIDED)
 _HEADINGS = {int(Azimuth.ANTENNA): "antenna heading", int(Azimuth.OTHER): "other heading"}
 
 
@@ -38,6 +40,8 @@ def _words(x: State, reason: Reason) -> str:
         return f"{_HEADINGS.get(int(x.azimuth), 'heading')} is refused"
     if reason is Reason.COMPASS_REFUSED:
         return "compass is refused"
+    if reason in _MISSING and x.fix_repeats >= FROZEN:
+        return "GNSS repeats one position"
     if reason is Reason.SLOW_SAMPLES:
         return f"IMU at {1.0 / x.dt:.0f} Hz is too slow"
     if reason is Reason.ATTITUDE:

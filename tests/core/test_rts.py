@@ -72,7 +72,9 @@ def back(one: Smoother, start: tuple[np.ndarray, np.ndarray], rows: np.ndarray, 
     return one.smooth(start[0], rows, later)
 
 
-MODES = pytest.mark.parametrize("settings", [KNOWN, replace(KNOWN, weigh_faults="act")], ids=["off", "act"])
+MODES = pytest.mark.parametrize(
+    "settings", [KNOWN, replace(KNOWN, weigh_faults="act")], ids=["off", "act"]
+)
 
 
 def records(blocks: np.ndarray) -> np.ndarray:

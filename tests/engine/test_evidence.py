@@ -1,5 +1,7 @@
 """What a refusal rests on: a ratio is a ratio, and other evidence is named beside it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,3 +85,15 @@ def test_a_compass_that_is_refused_is_not_counted_for_two_antennas():
     for why in Verdict:
         by_sensor = sum(counts[why] for counts in health.headings.values())
         assert by_sensor == health.verdicts[Aid.HEADING][why]
+
+
+@pytest.mark.parametrize("mode", ["off", "act"])
+def test_a_frozen_receiver_is_told_from_a_silent_one(mode):
+    events, _ = flight("figure-eight", duration=60.0)
+    later = between(events, 30.0, 99.0) & (events.kind == Kind.GNSS)
+    values = events.values.copy()
+    values[later] = values[np.flatnonzero(later)[0]]
+    frozen = Events(t_ns=events.t_ns, kind=events.kind, values=values)
+    for flown, words in ((frozen, "GNSS repeats one position"), (events.take(~later), "no GNSS")):
+        _, pipeline = run(flown, replace(KNOWN, weigh_faults=mode))
+        assert any(words in one for one in pipeline.health().reasons.values())

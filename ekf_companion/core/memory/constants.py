@@ -23,6 +23,8 @@ SETTLING = 0.1
 after its first fix, 5 and 17 s."""
 FADES = 60.0
 """Time constant with which it is forgotten that a source has failed, s."""
+FROZEN = 1e9
+"""Repeats of a fix that stand for a receiver that was found to be frozen."""
 SHORTEST_GAIN = 0.7e9
 """Between the fixes by which a delay or a lag is learnt, ns: long enough for the velocity to
 change."""

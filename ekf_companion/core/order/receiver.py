@@ -11,7 +11,7 @@ from cython import address
 from cython.cimports.ekf_companion.core.aids import gnss, lag
 from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
 from cython.cimports.ekf_companion.core.filter.update import innovate
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.constants import FROZEN, NEVER
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_POSITION,
     E_GNSS,
@@ -58,8 +58,6 @@ FAR = cython.declare(cython.double, 1000.0)
 
 REPEATS = cython.declare(cython.double, 2.0)
 """Repeats of one position after which a moving receiver counts as frozen."""
-FROZEN = cython.declare(cython.double, 1e9)
-"""Repeats that stand for a receiver that was found to be frozen."""
 
 
 def is_used(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
