@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from ekf_companion.mavlink.codec import Sender, unpack
@@ -40,6 +40,7 @@ _GLOBAL_FRAMES = (0, 5)
 _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
 _CRITICAL, _INFO = 2, 6
+_ORIGIN = ("latitude", "longitude", "altitude")
 _PLACES = ("GLOBAL_POSITION_INT", "GPS_GLOBAL_ORIGIN")
 _OWN = ("GPS_GLOBAL_ORIGIN", "HOME_POSITION", "EKF_STATUS_REPORT")
 """Messages of an autopilot that navigates by itself: sent only on request."""
@@ -133,6 +134,10 @@ class Autopilot:
         self._streams = Streams(self.personality, self._config, self.parameters, also)
         self._sensors = FirmwareSensors(self._config, self.personality, self._seed + self.reboots)
         self._last: Cycle | None = None
+        self._given: dict[str, int] = {}
+        """The origin that it was given, where it has none of its own filter."""
+        self._told: tuple[int, ...] = ()
+        """The origin that it has reported."""
         self._has_fix = self._has_origin = False
         self._next_timesync_ns = 0
         self._next_gcs_ns = 0
@@ -209,7 +214,7 @@ class Autopilot:
     def _stream(self, name: str, cycle: Cycle) -> None:
         if self.navigator is not None and name in _OWN:
             fields = navigation.fields(name, self.navigator, cycle.t_ns)
-            if fields is not None:
+            if fields is not None and self._is_told(name, fields):
                 self._send(name, **fields)
             return
         if self.navigator is not None and name in ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"):
@@ -225,7 +230,16 @@ class Autopilot:
                 name, capabilities=8192 | 8, flight_sw_version=version, uid=self._config.system_id
             )
         elif (fields := self._sensors.fields(name, cycle)) is not None:
-            self._send(name, **fields)
+            fields = {**fields, **self._given} if name == "GPS_GLOBAL_ORIGIN" else fields
+            if self._is_told(name, fields):
+                self._send(name, **fields)
+
+    def _is_told(self, name: str, fields: Mapping[str, Any]) -> bool:
+        """Return whether a message is sent: PX4's origin when it has changed, or on request."""
+        if name != "GPS_GLOBAL_ORIGIN" or self.personality.kind is not Kind.PX4:
+            return True
+        told, self._told = self._told, tuple(fields[one] for one in _ORIGIN)
+        return told != self._told
 
     def _command(self, frame: Frame, command: Any, now_ns: int) -> None:
         message = LAYOUTS[int(command.param1)].name if int(command.param1) in LAYOUTS else ""
@@ -282,6 +296,7 @@ class Autopilot:
             return UNSUPPORTED
         if self._last is None:
             return FAILED
+        self._told = ()
         self._stream(message, self._last)
         return ACCEPTED
 
@@ -324,6 +339,7 @@ class Autopilot:
         if self._last is not None and not self._has_origin:
             self.reception.take_origin(self._last.t_ns // 1000)
             self._has_origin = True
+            self._given = {one: getattr(origin, one) for one in _ORIGIN}
 
     def _timesync(self, frame: Frame, sync: Any, now_ns: int) -> None:
         if sync.tc1 == 0:

@@ -1,7 +1,8 @@
 """PX4's EKF2 as a follower: it estimates the offset of ODOMETRY's frame to its own.
 
 With a receiver the offset is learnt at the beginning and at each reset, and the estimate stays
-where it is; without one, the estimate jumps to ODOMETRY. An origin that comes while positions of
+where it is; without one, or when its fusion ends, the offset is dropped, and the estimate jumps to
+ODOMETRY. An origin that comes while positions of
 ODOMETRY are fused, and there was none before, leaves it 5300 km off (PX4 1.18).
 
 Sources: ``ev_pos_control.cpp``, ``Ekf::setLatLonOrigin``, ``resetHorizontalPositionTo``,
@@ -42,6 +43,7 @@ class Ekf2(Navigator):
         self._offset_n = np.zeros(3)
         """Of ODOMETRY's frame from its own, m."""
         self._fixed_t = NEVER
+        self._had_reference = False
 
     @property
     def is_external(self) -> bool:  # type: ignore[override]
@@ -60,8 +62,13 @@ class Ekf2(Navigator):
         if self.origin is None and is_fused:
             self.misplaced += 1
             lat = lon = 0.0
-        self.origin = LocalFrame(kind=self.kind, lat=lat, lon=lon, alt=alt)
-        self.is_origin_new = True
+        origin, was = LocalFrame(kind=self.kind, lat=lat, lon=lon, alt=alt), self.origin
+        if was is not None:
+            # The place stays, and has other metres
+            moved_n = (origin.to_ned(*was.to_geodetic(self.pos_n)) - self.pos_n) * [1.0, 1.0, 0.0]
+            self.pos_n = self.pos_n + moved_n
+            self.shift_n += moved_n
+        self.origin, self.is_origin_new = origin, True
         return True
 
     def odometry(self, m: Any, stamp: float | None = None) -> None:
@@ -76,6 +83,7 @@ class Ekf2(Navigator):
 
     def _fuse_vision(self, m: Any, at: float) -> None:
         self._last_message = at
+        self._compare_frames()
         is_moved = self._counter is not None and m.reset_counter != self._counter
         self._counter = m.reset_counter
         pos_n = np.array([m.x, m.y, m.z], dtype=float)
@@ -91,7 +99,14 @@ class Ekf2(Navigator):
         if self._fuse_vector(POS, z, place, self.tuning.position_gate):
             self._accepted = at
 
+    def _compare_frames(self) -> None:
+        """Begin anew where the receiver's fusion has begun or ended (``bias_estimator_change``)."""
+        had, self._had_reference = self._had_reference, self.has_reference
+        if had != self._had_reference:
+            self._is_fusing, self._offset_n = False, np.zeros(3)
+
     def _fuse_odometry(self, m: Any, at: float) -> None:
+        self._compare_frames()
         if self._offset_n.any():
             m = _Moved(m, self._offset_n)
         super()._fuse_odometry(m, at)

@@ -1,11 +1,17 @@
 """ODOMETRY in the local frame of the autopilot that follows it: its origin, its metres, its height.
 
 An autopilot takes the numbers of ODOMETRY for places in its own local frame, and turns them into
-latitude and longitude by its own projection. ArduPilot counts from the origin that it has told,
-PX4 keeps an offset to ours by itself. And ArduPilot on its own sensors takes the height from the
-barometer, above an altitude that its receiver said once: 4 m off after a cold start. It would climb
-by what ours is better at the moment it is switched to ODOMETRY. So heights are sent above its own
-datum, for as long as it is not ours anyway.
+latitude and longitude by its own projection. So they count from the origin that it has told.
+
+For PX4 that origin is fixed as soon as it may fuse what is sent: to a filter on ODOMETRY alone a
+moved frame is a jump. An offset between the frames PX4 learns only while it fuses its receiver, and
+drops when that ends. Its altitude is left alone: it compares heights with its own sensors, and one
+that was given an origin tells an altitude of 0.
+
+ArduPilot on its own sensors takes the height from the barometer, above an altitude that its
+receiver said once: 4 m off after a cold start. It would climb by what ours is better at the moment
+it is switched to ODOMETRY. So heights are sent above its own datum, for as long as it is not ours
+anyway.
 
 Sources: ArduPilot, ``Location::get_distance_NE``, ``NavEKF3_core::getLLH``, ``getOriginLLH``,
 ``selectHeightForFusion``, ``CorrectExtNavForSensorOffset``; PX4, ``MapProjection``,
@@ -18,6 +24,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from ekf_companion.engine.checkpoint_parts import SentFrame
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav import projection
 from ekf_companion.nav.earth import LocalFrame
@@ -69,6 +76,10 @@ class AutopilotFrame:
         """Count from our own origin: the autopilot has rebooted."""
         self.origin: Place | None = None
         """The autopilot's own; None: it has told none, and ours counts."""
+        self._told: Place | None = None
+        """The last that PX4 has told."""
+        self._is_fixed = False
+        """Whether PX4 may fuse what counts from the present one."""
         self.datum = 0.0
         """What the autopilot's altitudes are above ours, m."""
         self.changes += 1
@@ -80,32 +91,54 @@ class AutopilotFrame:
         """The datum of a run before, in place of the first comparison."""
 
     @property
-    def known_datum(self) -> float:
-        """What the autopilot's altitudes are above ours, m; NaN if they were never compared."""
-        if self._kept is not None:
-            return self._kept
-        return math.nan if self.origin is None or self._last_ns is None else self.datum
+    def sent(self) -> SentFrame:
+        """What a restart is to go on with."""
+        is_compared = self.origin is not None and self._last_ns is not None
+        datum = self._kept if self._kept is not None else self.datum if is_compared else math.nan
+        if self._family is not Family.PX4 or self.origin is None:
+            return SentFrame(datum=datum)
+        return SentFrame(*self.origin[:2])
 
-    def keep_datum(self, datum: float) -> None:
-        """Go on with the datum of a run before, m, whose heights the autopilot has; NaN: with none.
+    def keep(self, sent: SentFrame) -> None:
+        """Go on in the frame of a run before, which the autopilot has heights and places in.
 
-        An estimate that begins anew in the air is metres off at first, and to compare it then would
-        keep those for the whole flight.
+        An estimate that begins anew in the air is metres off at first, and to compare heights then
+        would keep those for the whole flight.
         """
-        if math.isfinite(datum):
-            self._kept = datum
+        if math.isfinite(sent.datum):
+            self._kept = sent.datum
             if self.origin is not None and self._last_ns is None:
-                self.datum = datum
-                self.changes += 1
+                self.datum = sent.datum
+        if sent.has_origin and self._family is Family.PX4:
+            self.origin, self._is_fixed = (sent.lat, sent.lon, 0.0), True
+        self.changes += 1
 
     def set_origin(self, origin: Place) -> None:
-        """Count from an origin of the autopilot."""
-        if self._family is not Family.ARDUPILOT:
+        """Count from an origin that the autopilot has told; to PX4 only while it is not fixed."""
+        if self._family not in PROJECTIONS:
             return
+        if self._family is Family.PX4:
+            origin = self._told = (*origin[:2], 0.0)
+            if self._is_fixed:
+                return
         if self.origin is None:
             self.datum, self._last_ns = self._kept or 0.0, None
         self.origin = origin
         self.changes += 1
+
+    def fix(self, own: Place | None, *, is_fused: bool) -> None:
+        """Count for good from where PX4 was sent places from, while it may fuse them.
+
+        ``own`` is the origin of the estimate. While PX4 fuses nothing of ours, places count from
+        the origin that it has told last.
+        """
+        if self._family is not Family.PX4:
+            return
+        self._is_fixed = is_fused
+        origin = (self.origin or own) if is_fused else (self._told or self.origin)
+        if origin != self.origin:
+            self.origin = origin
+            self.changes += 1
 
     def take_height(self, height: Height, *, may_follow: bool, may_choose: bool) -> None:
         """Learn what the autopilot's altitudes are above ours.
@@ -138,19 +171,20 @@ class AutopilotFrame:
     def counts_from(self, own: Place) -> Place:
         """Return the place that what is sent counts from, given the origin of the estimate.
 
-        Its altitude is the truth as we know it: the autopilot's less what its datum is above ours.
+        Its altitude is the truth as we know it: the autopilot's less what its datum is above ours;
+        PX4's own is not known.
         """
         if self.origin is None:
             return own
         lat, lon, alt = self.origin
-        return lat, lon, alt - self.datum
+        return lat, lon, own[2] if self._family is Family.PX4 else alt - self.datum
 
     def distance(self, place: Place) -> float:
         """Return how far the autopilot's origin is from a place, in all axes, m; 0 without one."""
         if self.origin is None or self._projection is None:
             return 0.0
         level = self._projection.to_metres(*self.origin[:2], *place[:2])
-        return math.hypot(*level, self.origin[2] - place[2])
+        return math.hypot(*level, self.counts_from(place)[2] + self.datum - place[2])
 
     def place(self, own: Place | None) -> tuple[float, ...] | None:
         """Return where positions are put, as :class:`Follower` expresses them.

@@ -40,10 +40,12 @@ from ekf_companion.core.memory.scratch import ROW
 from ekf_companion.core.memory.state import BLOCK, Alignment, Field
 from ekf_companion.core.settings.settings import HABITS
 from ekf_companion.engine.checkpoint_parts import (
+    UNSENT,
     Clocks,
     Origin,
     Refusal,
     Remains,
+    SentFrame,
     Sources,
     Vehicle,
     Why,
@@ -55,7 +57,7 @@ from ekf_companion.version import __version__
 MAGIC = b"\x89EKFCKPT"
 FAST = 1
 """Level of the compression: a state is mostly zeros, and is written once a second."""
-FORMAT = 5
+FORMAT = 6
 LIMIT = CheckpointConfig().limit
 """Age beyond which a checkpoint is stale unless told otherwise, s."""
 DISAGREEMENT_NS = 2_000_000_000
@@ -68,7 +70,7 @@ MOST_STARTS = 5
 """After so many restarts, each within :data:`STEADY_NS` of the last, the state may be the cause."""
 STEADY_NS = 3_000_000_000
 """What a bad state breaks, it breaks at the first samples and fixes."""
-_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s7dB6d2I")
+_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s9dB6d2I")
 _LARGEST_RANK = 4
 _LARGEST_OFFSET = 1e3
 """Between two inertial units, rad/s and m/s^2: no two differ by as much."""
@@ -112,8 +114,7 @@ class Checkpoint:
     clocks: Clocks
     """When it was taken, together with the state's stamp."""
     sources: Sources
-    datum: float = math.nan
-    """What the autopilot's altitudes are above ours, m; NaN: not known, or of no importance."""
+    sent: SentFrame = UNSENT
     unit: int = 0
     """Number of the inertial unit in use."""
     unit_offset: Sample = (0.0,) * 6
@@ -125,7 +126,7 @@ class Checkpoint:
     def remains(self) -> Remains:
         """What is left of it if its state is refused."""
         origin = _origin(self.state.block)
-        return Remains(self.vehicle, self.clocks, self.state.stamp_ns, origin, self.datum)
+        return Remains(self.vehicle, self.clocks, self.state.stamp_ns, origin, self.sent)
 
     def refuse_vehicle(self, vehicle: Vehicle, settings: bytes) -> Refusal | None:
         """Return why it does not fit this vehicle and these settings; None if it does."""
@@ -216,7 +217,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         state.sent_before,
         *checkpoint.clocks,
         *_origin_numbers(_origin(state.block)),
-        checkpoint.datum,
+        *checkpoint.sent,
         checkpoint.unit,
         *checkpoint.unit_offset,
         len(state.block),
@@ -250,14 +251,16 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     )
     *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id = rest[:11]
     *numbers, size, count = rest[11:]
-    datum, unit, gx, gy, gz, ax, ay, az = numbers[6:]
+    lat, lon, datum, unit, gx, gy, gz, ax, ay, az = numbers[6:]
     offset = gx, gy, gz, ax, ay, az
-    datum = datum if abs(datum) < _HIGHEST else math.nan
+    sent = SentFrame(datum=datum if abs(datum) < _HIGHEST else math.nan)
+    if abs(lat) < math.pi / 2 and abs(lon) <= math.pi:
+        sent = sent._replace(lat=lat, lon=lon)
     vehicle = Vehicle(family.rstrip(b"\0").decode(errors="replace"), system_id, component_id)
     clocks = Clocks(unix_ns, boot_ns, boot_id)
     remains = None
     if form == FORMAT:
-        remains = Remains(vehicle, clocks, stamp_ns, _origin_of(numbers[:6]), datum)
+        remains = Remains(vehicle, clocks, stamp_ns, _origin_of(numbers[:6]), sent)
     wrote = version.rstrip(b"\0").decode(errors="replace")
     if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
         return Refusal(
@@ -301,7 +304,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         state=state,
         vehicle=vehicle,
         clocks=clocks,
-        datum=datum,
+        sent=sent,
         sources=Sources(*sources),
         unit=unit,
         unit_offset=offset,
@@ -387,4 +390,14 @@ def _is_known(block: Array) -> bool:
     return bool(np.isfinite(known).all())
 
 
-__all__ = ["Clocks", "Origin", "Refusal", "Remains", "Sources", "Vehicle", "Why"]
+__all__ = [
+    "UNSENT",
+    "Clocks",
+    "Origin",
+    "Refusal",
+    "Remains",
+    "SentFrame",
+    "Sources",
+    "Vehicle",
+    "Why",
+]

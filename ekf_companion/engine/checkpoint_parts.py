@@ -91,6 +91,25 @@ class Origin(NamedTuple):
         return self._replace(offset=(north, east, down))
 
 
+class SentFrame(NamedTuple):
+    """What the autopilot was sent positions by, beside the origin of the estimate; NaN: unknown."""
+
+    lat: float = math.nan
+    """Of the place that PX4's numbers count from, rad."""
+    lon: float = math.nan
+    """rad."""
+    datum: float = math.nan
+    """What ArduPilot's altitudes are above ours, m."""
+
+    @property
+    def has_origin(self) -> bool:
+        """Whether the place is known."""
+        return math.isfinite(self.lat)
+
+
+UNSENT = SentFrame()
+
+
 @dataclass(frozen=True, slots=True)
 class Remains:
     """What a cold start goes on from, where the state itself is of no use."""
@@ -101,8 +120,7 @@ class Remains:
     """Of the state, autopilot clock, ns: one that stands before it has rebooted since."""
     origin: Origin | None
     """None: there was none yet."""
-    datum: float = math.nan
-    """What the autopilot's altitudes are above ours, m; NaN: not known."""
+    sent: SentFrame = UNSENT
 
 
 @dataclass(frozen=True, slots=True)

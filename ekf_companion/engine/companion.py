@@ -6,13 +6,12 @@ stamps of the inertial samples, so both send the same.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.announcer import Announcer
-from ekf_companion.engine.checkpoint import Clocks, Vehicle, Why
+from ekf_companion.engine.checkpoint import UNSENT, Clocks, Vehicle, Why
 from ekf_companion.engine.comparison import Comparison
 from ekf_companion.engine.intake import Intake, open_live
 from ekf_companion.engine.options import session_options
@@ -199,6 +198,9 @@ class Companion:
             messages = publisher.due(estimate)
             for message in messages:
                 session.publish(message, now_ns, t_ns)
+            if messages and (is_fused := session.is_pose_fused) is not None:
+                publisher.frame.fix(estimate.origin, is_fused=is_fused)
+                session.origin.is_fixed = is_fused
             found += messages
         return found
 
@@ -233,7 +235,8 @@ class Companion:
     def _begin_with(self, outcome: Outcome, now_ns: int) -> None:
         """Do what follows from how the estimate begins."""
         if self._publisher is not None:
-            self._publisher.frame.keep_datum(outcome.datum)
+            self._publisher.frame.keep(outcome.sent)
+            self.session.origin.is_fixed = outcome.sent.has_origin
             if outcome.lost is not None:
                 self._publisher.on_restart(outcome.lost)
         if outcome.why in _LOST and not outcome.is_origin_kept:
@@ -304,6 +307,7 @@ class Companion:
                     self._publisher.set_origin((lat, lon, alt))
                 case Rebooted():
                     self.estimate = None
+                    self.session.origin.is_fixed = False
                     self._comparison.forget()
                     self._pause = 0, 0
                     if self._publisher is not None:
@@ -393,8 +397,8 @@ class Companion:
         is_lost = self.session.new_frame.hold is not None
         if self.pipeline is None or self._warm_start is None or is_lost:
             return None
-        datum = math.nan if self._publisher is None else self._publisher.frame.known_datum
-        return self._warm_start.checkpoint(self.pipeline, self.session.decoder, clocks, datum)
+        sent = UNSENT if self._publisher is None else self._publisher.frame.sent
+        return self._warm_start.checkpoint(self.pipeline, self.session.decoder, clocks, sent)
 
     @property
     def silence(self) -> str:

@@ -284,7 +284,8 @@ class OdometryStream:
         self._frame_changes = frame.changes
         self._follower.place = frame.place(own)
         has_shifted = abs(frame.datum - frame.told_datum) > _SHIFT
-        if own not in (None, last) or was != self._base or has_shifted:
+        is_other = (was or last) != (self._base or own)
+        if own not in (None, last) or is_other or has_shifted:
             frame.told_datum, self.has_new_origin = frame.datum, True
             if was != self._base and last is not None:
                 self._is_told |= frame.distance(was or last) > POSITION_LIMITS[0]

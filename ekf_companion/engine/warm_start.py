@@ -11,17 +11,18 @@ Where the state is refused, the estimate begins anew, but in the same frame: see
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from ekf_companion.engine.checkpoint import (
     LIMIT,
     STEADY_NS,
+    UNSENT,
     Checkpoint,
     Clocks,
     Refusal,
     Remains,
+    SentFrame,
     Sources,
     Vehicle,
     Why,
@@ -56,8 +57,8 @@ class Outcome(NamedTuple):
     """Why a checkpoint was refused; None: none was, or there was none."""
     is_origin_kept: bool = False
     """Whether it counts from the origin of the run before."""
-    datum: float = math.nan
-    """What the autopilot's altitudes were above ours then, m; NaN: not known."""
+    sent: SentFrame = UNSENT
+    """What the autopilot was sent positions by then."""
 
 
 class _Pace:
@@ -180,7 +181,7 @@ class WarmStart:
             if stamps_ns[-1] > remains.stamp_ns:
                 age = self._clocks_at(now_ns).since(remains.clocks) * 1e-9
                 pipeline.set_origin(remains.origin, age)
-                kept = self.outcome._replace(is_origin_kept=True, datum=remains.datum)
+                kept = self.outcome._replace(is_origin_kept=True, sent=remains.sent)
                 self.outcome = kept
                 _log.info("The estimate begins anew, and counts from the origin as before")
             else:
@@ -196,15 +197,19 @@ class WarmStart:
         self._starts = found.starts + 1
         self._steady_from_ns = first_ns + STEADY_NS
         self._found = None
-        self.outcome = Outcome(lost, is_origin_kept=True, datum=found.datum)
+        self.outcome = Outcome(lost, is_origin_kept=True, sent=found.sent)
         return self.outcome
 
     def checkpoint(
-        self, pipeline: Pipeline, decoder: Decoder, clocks: Clocks, datum: float = math.nan
+        self,
+        pipeline: Pipeline,
+        decoder: Decoder,
+        clocks: Clocks,
+        sent: SentFrame = UNSENT,
     ) -> bytes | None:
         """Return what the next run could go on from; None if nothing has been estimated yet.
 
-        ``datum`` is what the autopilot's altitudes are above ours, m.
+        ``sent`` is what the autopilot is sent positions by.
         """
         if self._vehicle is None or self._found is not None or pipeline.stamp_ns == 0:
             return None
@@ -215,7 +220,7 @@ class WarmStart:
                 state=pipeline.state(),
                 vehicle=self._vehicle,
                 clocks=clocks,
-                datum=datum,
+                sent=sent,
                 sources=Sources(*decoder.ranks),
                 unit=decoder.inertial.unit,
                 unit_offset=decoder.inertial.lanes.offset,

@@ -158,6 +158,11 @@ class Requests(Service):
         """Request once more a message that should come at its rate."""
         self._ask_next(_Request(name, self.expected_rate(name)))
 
+    def ask_once(self, name: str) -> None:
+        """Request a message once, soon, where messages are requested at all."""
+        if self.rates and not any(one.name == name and one.rate is None for one in self._wanted):
+            self._wanted.insert(1, _Request(name, None))
+
     def _ask_next(self, one: _Request) -> None:
         """Request it after the one under way, unless it waits already."""
         if not self.is_under_way((one.name,)):

@@ -152,7 +152,10 @@ class Session:
             return vehicle.is_flying
 
         self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when, is_flying)
-        self.origin = OriginSetter(self.outbox, self.guard, self._emit, is_flying)
+        self.requests = Requests(self.outbox, self._emit, options.rates)
+        self.origin = OriginSetter(
+            self.outbox, self.guard, self._emit, self.requests.ask_once, is_flying
+        )
         self.new_frame = NewFrame(self.guard, is_flying)
         self.global_position = GlobalPosition(self.outbox, self._emit, self.guard)
         self.discovery = Discovery(
@@ -167,7 +170,6 @@ class Session:
         self.clash = ClashWatch(self._emit, self.heartbeat, self._goes_on_in_flight)
         self.commands = Commands(self.outbox, self._emit, self.heartbeat)
         self.parameters = ParameterServer(self.outbox, self._emit, options.parameters)
-        self.requests = Requests(self.outbox, self._emit, options.rates)
         self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
         self.timesync = Timesync(self.outbox, options.timesync)
@@ -543,6 +545,14 @@ class Session:
         if not self.guard.decision.is_streaming or self.clash.is_yielding:
             return False
         return all(service.hold is None for service in self._with_peer)
+
+    @property
+    def is_pose_fused(self) -> bool | None:
+        """Whether the autopilot may fuse the last pose; None: it is not known, or was not sent."""
+        decision = self.guard.decision
+        if not decision.is_streaming or (decision.is_fused and not self._is_pose_sent):
+            return None
+        return decision.is_fused
 
     @property
     def hold(self) -> Hold | None:

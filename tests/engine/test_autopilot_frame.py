@@ -13,6 +13,7 @@ from ekf_companion.nav.projection import ARDUPILOT, PX4
 
 OURS = math.radians(47.397743), math.radians(8.545594), 493.5
 THEIRS = math.radians(47.397800), math.radians(8.545500), 489.4
+OTHER = math.radians(47.398100), math.radians(8.545900), 490.0
 SECOND_NS = 1_000_000_000
 
 
@@ -41,14 +42,51 @@ def test_ardupilot_finds_the_vehicle_where_it_is(pos_n):
     assert THEIRS[2] - z == pytest.approx(alt, abs=1e-3)
 
 
-def test_px4_is_sent_metres_of_its_sphere_about_our_origin_for_it_keeps_the_offset():
+def test_px4_is_sent_metres_of_its_sphere_about_its_own_origin_and_our_own_height():
     frame = AutopilotFrame(Family.PX4)
+    lat, lon, _ = place(600.0, 400.0, -12.0)
+    x, y, z = sent(frame, 600.0, 400.0, -12.0)
+    assert (x, y) == pytest.approx(PX4.to_metres(lat, lon, *OURS[:2]), abs=1e-3)
+    assert math.hypot(x - 600.0, y - 400.0) > 0.5
     frame.set_origin(THEIRS)
     x, y, z = sent(frame, 600.0, 400.0, -12.0)
-    lat, lon, _ = place(600.0, 400.0, -12.0)
-    assert (x, y) == pytest.approx(PX4.to_metres(lat, lon, *OURS[:2]), abs=1e-3)
+    assert (x, y) == pytest.approx(PX4.to_metres(lat, lon, *THEIRS[:2]), abs=1e-3)
     assert z == pytest.approx(-12.0)
-    assert math.hypot(x - 600.0, y - 400.0) > 0.5
+    assert frame.counts_from(OURS) == (*THEIRS[:2], OURS[2])
+    # One that was given ours says so without an altitude: that is no other place
+    frame.set_origin((*OURS[:2], 0.0))
+    assert frame.distance(OURS) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_px4s_origin_is_taken_until_it_may_fuse_what_counts_from_the_one_before():
+    frame = AutopilotFrame(Family.PX4)
+    frame.set_origin(THEIRS)
+    frame.fix(OURS, is_fused=False)
+    frame.set_origin(OTHER)
+    assert frame.origin[:2] == OTHER[:2]
+    frame.fix(OURS, is_fused=True)
+    frame.set_origin(THEIRS)
+    assert frame.origin[:2] == OTHER[:2]
+    # It flies on its receiver again: what it has told meanwhile counts from now on
+    frame.fix(OURS, is_fused=False)
+    assert frame.origin[:2] == THEIRS[:2]
+    frame.forget()
+    assert frame.origin is None
+
+
+def test_what_px4_was_sent_about_our_origin_stays_about_that_in_the_next_run_too():
+    frame = AutopilotFrame(Family.PX4)
+    frame.fix(OURS, is_fused=False)
+    assert not frame.sent.has_origin
+    frame.fix(OURS, is_fused=True)
+    again = AutopilotFrame(Family.PX4)
+    again.set_origin(THEIRS)
+    again.keep(frame.sent)
+    again.set_origin(THEIRS)
+    assert again.counts_from(OTHER) == (*OURS[:2], OTHER[2])
+    other = AutopilotFrame(Family.ARDUPILOT)
+    other.keep(frame.sent)
+    assert other.origin is None
 
 
 def test_others_are_sent_the_same_bytes():

@@ -112,16 +112,18 @@ def test_the_origin_has_no_altitude_for_px4_would_take_it_off_its_height_at_a_mo
 def test_one_that_has_shown_an_origin_once_is_given_none_again_for_each_is_a_reset(shown):
     times, _, odometry = flown(ON_OURS, shown=shown)
     assert times == []
-    assert odometry[0] < 0.3
+    # Where only its position shows that it has one, it is waited for
+    assert odometry[0] < 0.3 if shown == "GPS_GLOBAL_ORIGIN" else odometry[0] == 2.0
     times, _, odometry = flown(ON_OURS, shown=shown, shown_at=2.1)
     assert len(times) == 1
     assert odometry[0] == pytest.approx(2.1, abs=0.11)
 
 
-def test_in_flight_none_is_given_and_nothing_waits():
-    times, _, odometry = flown(ON_OURS, base_mode=128)
+@pytest.mark.parametrize(("shown", "begin"), [("GPS_GLOBAL_ORIGIN", 0.0), (None, 0.5)])
+def test_in_flight_none_is_given_and_its_own_is_waited_for_a_moment(shown, begin):
+    times, _, odometry = flown(ON_OURS, base_mode=128, shown=shown)
     assert times == []
-    assert odometry[0] < 0.3
+    assert odometry[0] == pytest.approx(begin, abs=0.3)
     assert silences(odometry) == []
 
 
