@@ -2,10 +2,10 @@
 
 With a receiver the offset is learnt at the beginning and at each reset, and the estimate stays
 where it is; without one, or when its fusion ends, the offset is dropped, and the estimate jumps to
-ODOMETRY. An origin that comes while positions of
+ODOMETRY. Of heights the offset is learnt unless ODOMETRY is their reference. An origin that comes while positions of
 ODOMETRY are fused, and there was none before, leaves it 5300 km off (PX4 1.18).
 
-Sources: ``ev_pos_control.cpp``, ``Ekf::setLatLonOrigin``, ``resetHorizontalPositionTo``,
+Sources: ``ev_pos_control.cpp``, ``ev_height_control.cpp``, ``Ekf::setLatLonOrigin``, ``resetHorizontalPositionTo``,
 ``gps_checks.cpp``, ``mavlink_timesync.cpp``.
 """
 
@@ -27,8 +27,8 @@ from sim_autopilot.tuning import EKF2, Tuning
 
 _HORIZONTAL, _YAW = 1, 8
 """Of EKF2_EV_CTRL; the first of EKF2_GPS_CTRL too."""
-_FRESH = 0.5
-"""s."""
+_VISION = 3
+"""Of EKF2_HGT_REF."""
 
 
 class Ekf2(Navigator):
@@ -103,7 +103,8 @@ class Ekf2(Navigator):
         """Begin anew where the receiver's fusion has begun or ended (``bias_estimator_change``)."""
         had, self._had_reference = self._had_reference, self.has_reference
         if had != self._had_reference:
-            self._is_fusing, self._offset_n = False, np.zeros(3)
+            self._is_fusing = False
+            self._offset_n = self._offset_n * [0.0, 0.0, 1.0]
 
     def _fuse_odometry(self, m: Any, at: float) -> None:
         self._compare_frames()
@@ -116,6 +117,9 @@ class Ekf2(Navigator):
             # The receiver has its place already: the frames differ by so much
             self._offset_n = self._offset_n + pos_n - self.pos_n
             return
+        if int(self.parameters.get("EKF2_HGT_REF", 1)) != _VISION:
+            self._offset_n = self._offset_n + [0.0, 0.0, pos_n[2] - self.pos_n[2]]
+            pos_n = np.array([pos_n[0], pos_n[1], self.pos_n[2]])
         self.shift_n += pos_n - self.pos_n
         super()._reset(pos_n, place, vel_n, speed, yaw)
 
