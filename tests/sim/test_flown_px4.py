@@ -10,7 +10,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.closed_loop import ClosedLoop
 from sim_autopilot.personality import Kind
-from tests.sim.board import LATE, QUIET, Board
+from tests.sim.board import EARLY, QUIET, Board
 
 MOST = 0.5
 """m in any axis, in truth."""
@@ -136,7 +136,7 @@ def test_an_origin_that_is_told_after_the_switch_moves_nothing_any_more():
 
 @LONG
 def test_a_receiver_that_is_cold_when_the_daemon_starts_moves_nothing_at_the_switch():
-    loop = ClosedLoop(Kind.PX4, QUIET, parameters=ON_RECEIVER, cold=LATE)
+    loop = ClosedLoop(Kind.PX4, QUIET, parameters=ON_RECEIVER, cold=EARLY)
     board = Board(loop)
     board.start()
     loop.run(25.0)
@@ -165,7 +165,7 @@ def test_a_filter_of_px4_that_began_anew_is_counted_from_unless_it_flies_on_ours
 @LONG
 @pytest.mark.parametrize("is_before", [True, False])
 def test_a_checkpoint_from_before_px4_had_an_origin_settles_nothing(is_before):
-    loop = ClosedLoop(Kind.PX4, QUIET, parameters=ON_RECEIVER, cold=LATE)
+    loop = ClosedLoop(Kind.PX4, QUIET, parameters=ON_RECEIVER, cold=EARLY)
     board = Board(loop)
     board.start()
     loop.run(8.0 if is_before else 14.0)
