@@ -2,11 +2,11 @@
 
 With a receiver the offset is learnt at the beginning and at each reset, and the estimate stays
 where it is; without one, or when its fusion ends, the offset is dropped, and the estimate jumps to
-ODOMETRY. Of heights the offset is learnt unless ODOMETRY is their reference. An origin that comes while positions of
-ODOMETRY are fused, and there was none before, leaves it 5300 km off (PX4 1.18).
+ODOMETRY. That of heights is learnt unless ODOMETRY is their reference. An origin that comes while
+positions of ODOMETRY are fused, and there was none before, leaves it 5300 km off (PX4 1.18).
 
-Sources: ``ev_pos_control.cpp``, ``ev_height_control.cpp``, ``Ekf::setLatLonOrigin``, ``resetHorizontalPositionTo``,
-``gps_checks.cpp``, ``mavlink_timesync.cpp``.
+Sources: ``ev_pos_control.cpp``, ``ev_height_control.cpp``, ``Ekf::setLatLonOrigin``,
+``resetHorizontalPositionTo``, ``gps_checks.cpp``, ``mavlink_timesync.cpp``.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Ekf2(Navigator):
             self._offset_n = self._offset_n + pos_n - self.pos_n
             return
         if int(self.parameters.get("EKF2_HGT_REF", 1)) != _VISION:
-            self._offset_n = self._offset_n + [0.0, 0.0, pos_n[2] - self.pos_n[2]]
+            self._offset_n = self._offset_n + (pos_n - self.pos_n) * [0.0, 0.0, 1.0]
             pos_n = np.array([pos_n[0], pos_n[1], self.pos_n[2]])
         self.shift_n += pos_n - self.pos_n
         super()._reset(pos_n, place, vel_n, speed, yaw)

@@ -6,8 +6,8 @@ time. Who is right does not matter for that.
 
 An ArduPilot whose source sets are alternatives may be on its own receiver, and nothing in its
 telemetry tells. It is watched once it has been near to ours; the words then only name the distance.
-PX4 keeps an offset between its frame and ours, so only what it moves since it began to follow
-counts.
+PX4 keeps an offset of heights, and may count from an origin that it has not told, so only what it
+moves since it began to follow counts.
 
 How far is too far: beyond its gates an autopilot refuses ours (the table in docs/ODOMETRY.md,
 "Jumps"), so within them nothing is said.
