@@ -458,8 +458,8 @@ def test_every_message_is_asked_for_and_again_after_a_reboot(flown, reboot):
         wanted = {IDS[name]: round(1e6 / rate) for name, rate in rates.items()}
         streams = [message for message in part if message.command == SET_MESSAGE_INTERVAL]
         assert {int(message.param1): message.param2 for message in streams} == wanted
-        (once,) = {message.param1 for message in part if message.command == REQUEST_MESSAGE}
-        assert once == IDS["AUTOPILOT_VERSION"]
+        once = {message.param1 for message in part if message.command == REQUEST_MESSAGE}
+        assert once == {IDS["AUTOPILOT_VERSION"], IDS["GPS_GLOBAL_ORIGIN"]}
     # ATTITUDE came at 50 Hz before
     stamps = [m.time_boot_ms for _, m in flown.record.of("ATTITUDE", component=1)]
     assert np.median(np.diff(stamps)[-50:]) == 100

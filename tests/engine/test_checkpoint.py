@@ -1,5 +1,6 @@
 """A state as bytes: there and back to the bit, and refused wherever it may not be gone on from."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from ekf_companion.engine.checkpoint import (
     Checkpoint,
     Clocks,
     Refusal,
+    SentFrame,
     Sources,
     Vehicle,
     Why,
@@ -82,8 +84,24 @@ def test_what_is_encoded_is_decoded_to_the_bit():
         assert getattr(found.state, name) == getattr(GOOD.state, name)
     assert found.state.block.tobytes() == GOOD.state.block.tobytes()
     assert found.state.waiting.tobytes() == GOOD.state.waiting.tobytes()
-    assert len(found.state.waiting) > 0
+    assert not found.sent.has_origin
     assert encode(found) == BYTES
+
+
+@pytest.mark.parametrize(
+    ("sent", "kept"),
+    [
+        ((0.8, -3.1, 4.0), (0.8, -3.1, 4.0)),
+        ((0.8, 3.2, 4.0), (math.nan, math.nan, 4.0)),
+        ((math.nan, math.nan, 1e6), (math.nan, math.nan, math.nan)),
+    ],
+)
+def test_what_the_autopilot_is_sent_by_is_kept_where_it_is_a_place(sent, kept):
+    found = decode(encode(replace(GOOD, sent=SentFrame(*sent))))
+    assert found.sent == pytest.approx(kept, nan_ok=True)
+    assert found.remains.sent == pytest.approx(kept, nan_ok=True)
+    assert found.sent.has_origin is (kept[0] == 0.8)
+    assert len(found.state.waiting) > 0
     state = GOOD.state.block.nbytes + GOOD.state.waiting.nbytes
     assert len(BYTES) < state + 1024
 

@@ -143,6 +143,35 @@ def test_no_other_is_given_one(parameters, family, is_known):
     assert silences(odometry) == []
 
 
+def test_a_px4_that_shows_a_position_is_asked_for_its_origin_until_it_tells_it():
+    def asked(shown, told_at, **rates):
+        session, autopilot = met(PX4, guard=GuardOptions(), rates=rates)
+        times, tries = [], itertools.count()
+        for now_ns in range(0, 20 * SECOND, 50 * MS):
+            if now_ns % SECOND == 0:
+                session.receive(autopilot.heartbeat(), now_ns)
+            if shown and now_ns == 10 * SECOND:
+                session.receive(autopilot.say(shown, **PLACES[shown]), now_ns)
+            session.tick(now_ns)
+            for m in sent(session, "COMMAND_LONG"):
+                answer = autopilot.say("COMMAND_ACK", command=m.command, result=0)
+                session.receive(answer, now_ns)
+                if m.command == 512 and m.param1 == IDS["GPS_GLOBAL_ORIGIN"]:
+                    times.append(now_ns / SECOND)
+                    if next(tries) == told_at:
+                        name = "GPS_GLOBAL_ORIGIN"
+                        session.receive(autopilot.say(name, **PLACES[name]), now_ns)
+        return times
+
+    assert len(asked(None, None, ATTITUDE=10.0)) == 1
+    assert len(asked("GLOBAL_POSITION_INT", 0, ATTITUDE=10.0)) == 1
+    assert asked("GLOBAL_POSITION_INT", 0) == []
+    # The answer to the first three is lost
+    times = asked("GLOBAL_POSITION_INT", 3, ATTITUDE=10.0)
+    assert times[0] < 1.0
+    assert times[1:] == pytest.approx([10.0, 10.5, 11.0], abs=0.2)
+
+
 # ArduPilot: what is sent counts from its own
 
 
