@@ -119,7 +119,7 @@ def test_one_that_has_shown_an_origin_once_is_given_none_again_for_each_is_a_res
     assert odometry[0] == pytest.approx(2.1, abs=0.11)
 
 
-@pytest.mark.parametrize(("shown", "begin"), [("GPS_GLOBAL_ORIGIN", 0.0), (None, 0.5)])
+@pytest.mark.parametrize(("shown", "begin"), [("GPS_GLOBAL_ORIGIN", 0.0), (None, 2.0)])
 def test_in_flight_none_is_given_and_its_own_is_waited_for_a_moment(shown, begin):
     times, _, odometry = flown(ON_OURS, base_mode=128, shown=shown)
     assert times == []
