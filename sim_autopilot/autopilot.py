@@ -236,7 +236,8 @@ class Autopilot:
 
     def _is_told(self, name: str, fields: Mapping[str, Any]) -> bool:
         """Return whether a message is sent: PX4's origin when it has changed, or on request."""
-        if name != "GPS_GLOBAL_ORIGIN" or self.personality.kind is not Kind.PX4:
+        is_ideal = self.navigator is None and self.personality.streams is None
+        if name != "GPS_GLOBAL_ORIGIN" or is_ideal or self.personality.kind is not Kind.PX4:
             return True
         told, self._told = self._told, tuple(fields[one] for one in _ORIGIN)
         return told != self._told
