@@ -50,12 +50,7 @@ SETS: dict[Kind, dict[str, float]] = {
         "GPS1_DELAY_MS": 0.0,
         **{f"EK3_SRC2_{part}": 6.0 for part in _PARTS},
     },
-    Kind.PX4: {
-        "EKF2_EV_CTRL": 15.0,
-        "EKF2_GPS_CTRL": 0.0,
-        "EKF2_GPS_DELAY": 110.0,
-        "EKF2_HGT_REF": 3.0,
-    },
+    Kind.PX4: {"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 0.0, "EKF2_GPS_DELAY": 110.0},
 }
 """Parameters of an ArduPilot whose source set 2 is ODOMETRY, and of a PX4 that flies on it
 alone."""

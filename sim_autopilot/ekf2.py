@@ -117,7 +117,7 @@ class Ekf2(Navigator):
             # The receiver has its place already: the frames differ by so much
             self._offset_n = self._offset_n + pos_n - self.pos_n
             return
-        if int(self.parameters.get("EKF2_HGT_REF", 1)) != _VISION:
+        if int(self.parameters.get("EKF2_HGT_REF", _VISION)) != _VISION:
             self._offset_n = self._offset_n + (pos_n - self.pos_n) * [0.0, 0.0, 1.0]
             pos_n = np.array([pos_n[0], pos_n[1], self.pos_n[2]])
         self.shift_n += pos_n - self.pos_n
