@@ -284,7 +284,7 @@ class OdometryStream:
         self._frame_changes = frame.changes
         self._follower.place = frame.place(own)
         has_shifted = abs(frame.datum - frame.told_datum) > _SHIFT
-        is_other = (was or last) != (self._base or own)
+        is_other = own is not None and (was or last) != (self._base or own)
         if own not in (None, last) or is_other or has_shifted:
             frame.told_datum, self.has_new_origin = frame.datum, True
             if was != self._base and last is not None:
