@@ -319,9 +319,10 @@ def _bank(data: bytes) -> Array:
     if data[: len(BANK_LAYOUT)] != BANK_LAYOUT or not len(found):
         return none
     try:
-        banks: Any = as_banks(unpack(found)[None])
+        numbers = unpack(found)  # which lives as long as what lies over it
     except ValueError:
         return none
+    banks: Any = as_banks(numbers[None])
     bank = banks[0]
     if not 0 <= bank.finds <= FOUND:
         return none

@@ -1,6 +1,8 @@
 """A state as bytes: there and back to the bit, and refused wherever it may not be gone on from."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -392,6 +394,19 @@ def test_fault_hypotheses_go_on_to_the_bit(mode, cut):
     assert [one.kind for one in whole.found_faults()] == [Fault.BARO_STEP]
     a, b = after.values(), whole.values()
     assert np.delete(a, RESETS).tobytes() == np.delete(b, RESETS).tobytes()
+
+
+def test_fault_hypotheses_are_read_by_a_process_that_has_just_begun(tmp_path):
+    """Its memory goes back to the system as soon as nothing refers to it."""
+    state = weighing("report", 17.0).state()
+    (tmp_path / "checkpoint").write_bytes(encode(replace(GOOD, state=state)))
+    code = (
+        "import sys; from ekf_companion.engine.checkpoint import decode\n"
+        "print(len(decode(open(sys.argv[1], 'rb').read()).state.bank))"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "checkpoint")]
+    read = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    assert int(read.stdout) == len(state.bank)
 
 
 @pytest.mark.parametrize("change", ["none", "layout", "kind", "count", "number", "cut"])
