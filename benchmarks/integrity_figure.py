@@ -133,7 +133,9 @@ def main() -> None:
     asked = parser.parse_args()
     events, truth = slide()
     usual = FilterSettings(gnss=GnssSettings(delay=0.12))
-    act, default = (fly(events, truth, one) for one in (replace(usual, weigh_faults="act"), usual))
+    act, default = (
+        fly(events, truth, replace(usual, weigh_faults=mode)) for mode in ("act", "off")
+    )
     zero_ns = int(events.t_ns[0])
     figure = Figure(figsize=(7.0, 5.4), layout="constrained")
     axes = figure.subplots(3, sharex=True, height_ratios=(4, 4, 1))

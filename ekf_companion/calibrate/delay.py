@@ -120,6 +120,8 @@ def measure(
             f"{name}: inertial samples come at {rate:.1f} Hz, below the {rest.SLOW:.0f} Hz that "
             "motion can be integrated from, so no delay can be seen; ask for a faster stream"
         )
+    # the fault hypotheses would explain what a wrong delay does
+    settings = replace(settings, weigh_faults="off")
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     table = pipeline.run(recording.events)
     begin, end = _counted(table, name)

@@ -49,7 +49,7 @@ def estimate(evidence: Evidence) -> StageResult:
     saw = health.status.words
     if math.isfinite(health.std_horizontal):
         saw += f", position to {health.std_horizontal:.1f} m"
-    problems = [_status(health), *_aids(health)]
+    problems = [_status(health), *_wrong(health), *_aids(health)]
     # A reboot is reported already
     resets = health.resets - (evidence.peer.reboots if evidence.peer else 0)
     if resets > 0:
@@ -101,6 +101,15 @@ def _status(health: Health) -> Problem | None:
         "Down is not found yet: the vehicle moves, and has since the start.",
         "Let it stand for align.time = 1 s; on a ship raise align.rest_gyro and align.rest_accel.",
     )
+
+
+def _wrong(health: Health) -> Iterator[Problem]:
+    """Find what the fault hypotheses have found, where they decide."""
+    for one in health.wrong:
+        yield warning(
+            f"The fault hypotheses say: {one.sentence}.",
+            "Look at this sensor; a receiver needs a free view of the sky, a compass no iron.",
+        )
 
 
 def _aids(health: Health) -> Iterator[Problem]:

@@ -15,6 +15,7 @@ from ekf_companion.engine.health import DECIMATED, Arrival, Health
 from ekf_companion.engine.pilot import PilotTexts
 from ekf_companion.engine.stream import WAITING, OdometryStream
 from ekf_companion.engine.warm_start import Outcome
+from ekf_companion.engine.wrong import PLACE, Wrong
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.statustext import Severity
@@ -71,6 +72,8 @@ def _cause(health: Health) -> str:
         return "IMU gap"
     if Reason.POSITION_REFUSED in reasons:
         return reasons[Reason.POSITION_REFUSED].removesuffix(", refused")
+    if wrong := [one.words for one in health.wrong if one.source in PLACE]:
+        return wrong[0]
     return "GNSS lost"
 
 
@@ -102,6 +105,10 @@ class EstimateAnnouncer:
         self._unit = self._session.decoder.inertial.unit
         self._decimated, self._is_position_autopilots = 0, False
         self._odd: set[str] = set()
+        self._wrong: dict[str, Wrong] = {}
+        """What was wrong when that was looked at last, by source."""
+        self._over_ns: dict[str, int] = {}
+        """Since when a source is right again, which the pilot is told once it has lasted."""
 
     def _tell(self, subject: str, severity: Severity, text: str) -> None:
         """Send the pilot the state of a subject, which the text itself names."""
@@ -188,7 +195,35 @@ class EstimateAnnouncer:
                 self._odd.add(subject)
                 _log.warning("%s", words)
         self._announce_sensors(health)
+        self._announce_wrong(health)
         self._announce_status(health)
+
+    def _announce_wrong(self, health: Health) -> None:
+        """Announce what is found to be wrong, or is suspected at two looks, and that it is over."""
+        wrong = {one.name: one for one in health.wrong}
+        for name, one in wrong.items():
+            was = self._wrong.get(name)
+            if was is None or was.is_found != one.is_found:
+                _log.warning("%s", one.sentence, extra=journal_fields("fault", one.source.name))
+            if one.is_found or was is not None:
+                severity = Severity.WARNING if one.is_found else Severity.NOTICE
+                key = "found" if one.is_found else "suspected"
+                self._pilot.on_state(f"fault {name}", key, severity, one.sentence, self._now_ns)
+        for name in self._wrong.keys() - wrong.keys():
+            _log.info("%s right again", name, extra=journal_fields("fault", "over"))
+            self._over_ns[name] = self._now_ns
+            self._pilot.withdraw(f"fault {name}")
+        for name, since_ns in list(self._over_ns.items()):
+            if name in wrong:
+                del self._over_ns[name]
+            elif self._now_ns - since_ns >= STEADY_NS:
+                del self._over_ns[name]
+                subject, text = f"fault {name}", f"{name} right again"
+                if self._pilot.shown(subject):
+                    self._pilot.on_state(
+                        subject, "right", Severity.INFO, text, self._now_ns, is_end=True
+                    )
+        self._wrong = wrong
 
     def _announce_sensors(self, health: Health) -> None:
         """Announce that another receiver or another compass is used."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from ekf_companion.core.memory.enums import Aid, Arrival, Verdict
+from ekf_companion.core.memory.enums import Aid, Arrival, Source, Verdict
+from ekf_companion.engine.wrong import RECEIVER, Wrong
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Reason, Status
 
@@ -96,6 +97,9 @@ class Health:
     suspected: tuple[str, ...] = ()
     """What is more likely wrong than right, in words: ``height: GNSS height or barometer (0.93)``.
     """
+    wrong: tuple[Wrong, ...] = ()
+    """What is suspected, and what was found and is not right again; empty where the fault
+    hypotheses do not decide."""
     found: tuple[str, ...] = ()
     """Faults that were beyond doubt so far, in words, with how long ago each began and was so."""
     found_counts: Mapping[str, int] = field(default_factory=dict)
@@ -110,11 +114,18 @@ class Health:
 
     @property
     def is_receiver_refused(self) -> bool:
-        """Whether the last position or velocity of the receiver was refused, and why ever."""
-        return any(
+        """Whether the last position or velocity of the receiver was refused, and why ever.
+
+        Or more likely wrong than right, or found to be wrong.
+        """
+        return self.has_wrong(RECEIVER) or any(
             self.ratios[aid] > 1.0 or self.denied.get(aid, False)
             for aid in (Aid.POSITION, Aid.VELOCITY)
         )
+
+    def has_wrong(self, sources: Collection[Source]) -> bool:
+        """Return whether one of these sources is wrong now."""
+        return any(one.source in sources for one in self.wrong)
 
     def fused(self, aid: Aid) -> int:
         """Return how many measurements of an aid were fused, with full or with less weight."""

@@ -30,6 +30,7 @@ from ekf_companion.engine.health import (
 )
 from ekf_companion.engine.reasons import in_words
 from ekf_companion.engine.slow_errors import oddities, slow_errors
+from ekf_companion.engine.wrong import Held, Hypothesis, Wrong, wrong_now
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
 from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Reason, Status, Table
@@ -177,6 +178,20 @@ class Pipeline:
             for kind, onset, until, size, std, evidence in self._timeline.found(is_now)
         ]
 
+    def wrong_now(self) -> tuple[Wrong, ...]:
+        """Return what is wrong now; none where the fault hypotheses do not decide."""
+        if not self._decides:
+            return ()
+        timeline = self._timeline
+        hypotheses = [
+            Hypothesis(Fault(kind), p, onset, size)
+            for kind, p, onset, size in timeline.hypotheses()
+        ]
+        position, height, velocity, climb, heading, *slides = timeline.declared()
+        is_sliding = bool(slides[0]), bool(slides[1])
+        held = Held(position, height, velocity, climb, heading, is_sliding)
+        return wrong_now(hypotheses, self.found_faults(is_now=True), held, self.stamp_ns)
+
     def fault_evidence(self) -> FaultEvidence:
         """Return how probable each source's fault was over time; empty without ``weigh_faults``."""
         table = self._timeline.evidence()
@@ -265,6 +280,7 @@ class Pipeline:
             reasons=in_words(x, Reason(self._timeline.reasons)),
             faults=by_source(probability),
             suspected=suspected,
+            wrong=self.wrong_now(),
             found=tuple(one.words_ago(self.stamp_ns, repaired=self._decides) for one in faults),
             found_counts=Counter(one.source.name.lower() for one in faults if one.kind not in ENDS),
             protection_horizontal=levels[0],

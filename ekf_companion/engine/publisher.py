@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.memory.enums import Source
 from ekf_companion.core.memory.overlay import as_estimate
 from ekf_companion.core.output.follower import Follower
 from ekf_companion.core.settings.from_settings import has_mean_samples, imu_lag
@@ -13,6 +14,7 @@ from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
 from ekf_companion.engine.stream import NO_OFFSET, OdometryStream
+from ekf_companion.engine.wrong import PLACE, RECEIVER
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import Frame, Label, StatusFlag, label
@@ -215,7 +217,7 @@ class Publisher:
         elif name == _OFFSET:
             has_one = self.stream is not None and self.stream.is_continuous
         elif name == _INTEGRITY:
-            has_one = bool(_CAUGHT & estimate.health.reasons.keys())
+            has_one = is_caught(estimate.health)
         else:
             has_one = estimate.origin is not None
         if has_one:
@@ -296,11 +298,10 @@ class Publisher:
 
     def _integrity(self, health: Health) -> list[Message]:
         """Return GNSS_INTEGRITY while the receiver contradicts the estimate, and once after."""
-        was_caught, reasons = self._is_caught, health.reasons.keys()
-        self._is_caught = bool(_CAUGHT & reasons)
+        was_caught, self._is_caught = self._is_caught, is_caught(health)
         if not was_caught and not self._is_caught:
             return []
-        is_false = bool(_PLACE_FALSE & reasons)
+        is_false = bool(_PLACE_FALSE & health.reasons.keys()) or health.has_wrong(PLACE)
         payload = encode.gnss_integrity(
             health.receiver, is_caught=self._is_caught, is_place_false=is_false
         )
@@ -339,6 +340,11 @@ class Publisher:
         return odometry._replace(numbers=self._follower.express(climb, 1.0, is_local))
 
 
+def is_caught(health: Health) -> bool:
+    """Return whether the receiver is wrong: refused, or likely so by the fault hypotheses."""
+    return bool(_CAUGHT & health.reasons.keys()) or health.has_wrong(RECEIVER)
+
+
 def _estimator_status(health: Health, t_ns: int) -> bytes:
     """Return the payload of ESTIMATOR_STATUS."""
     flags = StatusFlag.ATTITUDE | StatusFlag.VELOCITY_HORIZ | StatusFlag.VELOCITY_VERT
@@ -352,6 +358,8 @@ def _estimator_status(health: Health, t_ns: int) -> bytes:
         flags = StatusFlag(0)
     if health.is_receiver_refused:
         flags |= StatusFlag.GPS_GLITCH
+    if health.has_wrong((Source.ACCEL,)):
+        flags |= StatusFlag.ACCEL_ERROR
     aids = (Aid.VELOCITY, Aid.POSITION, Aid.HEIGHT, Aid.HEADING)
     return encode.estimator_status(
         t_ns,

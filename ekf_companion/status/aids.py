@@ -90,13 +90,16 @@ class AidWatch:
         used = {aid: x.count[aid][Verdict.FUSED] + x.count[aid][Verdict.DEWEIGHTED] for aid in Aid}
         refused = {aid: {why: int(x.count[aid][why]) for why in _WHY} for aid in Aid}
         refused[Aid.HEADING][Verdict.DISTURBED] += session.decoder.refused[_NO_FIELD]
+        unused = {aid: one.words for one in pipeline.wrong_now() for aid in one.unused}
         if pipeline is not self._pipeline or any(used[aid] < self._aids[aid].used for aid in Aid):
             self._pipeline = pipeline
             self._aids = {aid: _Watched(used[aid], refused[aid]) for aid in Aid}
             self._level.clear()
             self._settled_ns = None
         for aid, one in self._aids.items():
-            if used[aid] > one.used:
+            if used[aid] > one.used and aid in unused:  # at no weight
+                one.refused_ns, one.why = now_ns, f"suspected: {unused[aid]}"
+            elif used[aid] > one.used:
                 _use(one, sources[aid], now_ns)
             for why, count in refused[aid].items():
                 if count > one.refused[why]:

@@ -76,6 +76,7 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     word = health.status.words
     line = "ok: the estimate is OK, " if health.status is Status.OK else f"{word}: "
     line += "".join(f"{words}, " for words in health.reasons.values())
+    line += "".join(f"{one.sentence}, " for one in health.wrong)
     line += f"{snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot)}"
     in_vain = [
         f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"

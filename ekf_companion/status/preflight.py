@@ -133,6 +133,8 @@ def _of_estimate(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
         yield from _of_fix(snapshot, health)
     yield from _of_heading(vehicle)
     sigma = vehicle.sigma
+    for wrong in health.wrong:
+        yield Reason("source wrong", wrong.sentence)
     for one in DECLARED:
         if (aid := vehicle.aids[one.name]).state == "refused":
             yield Reason(f"{one.name} refused", f"{one.sensor} refused: {aid.why}")

@@ -22,7 +22,7 @@ def test_gates_are_chi_square_quantiles(dof, probability):
 
 
 def test_every_parameter_is_given():
-    k = as_parameters(parameters(FilterSettings(), "unknown"))
+    k = as_parameters(parameters(FilterSettings(weigh_faults="off"), "unknown"))
     given = {
         name: np.ravel(getattr(k, name)) for name, _ in k._fields_ if name not in ("aid", "fault")
     }

@@ -57,6 +57,7 @@ def served(tmp_path_factory):
     folder = tmp_path_factory.mktemp("served")
     port, http_port = free_port(), free_port(socket.SOCK_STREAM)
     config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
+    config += "weigh_faults: 'off'\n"
     with Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config) as daemon:
         daemon.wait_for(f"Status on http://127.0.0.1:{http_port}/")
         fly_over(f"udpout:127.0.0.1:{port}", plan(7.5, boot=20.0), Kind.PX4)

@@ -7,12 +7,14 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig
+from ekf_companion.core.memory.enums import Source
 from ekf_companion.doctor.counters import MessageCounter, Stamps
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Feedback, Sent
 from ekf_companion.doctor.report import lines
 from ekf_companion.doctor.stage import Outcome, Stage
 from ekf_companion.engine.health import Aid, Verdict
+from ekf_companion.engine.wrong import Wrong
 from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Kind
 from tests.doctor.simulated import ARDUPILOT_OURS, evidence_of, examine, simulated, stage, words
@@ -61,6 +63,13 @@ def test_the_estimate_is_as_good_as_its_status(well, status, mark, said):
     found = stage(with_health(well, status=status), "estimate")
     assert found.outcome is mark
     assert said in words(found)
+
+
+def test_what_the_fault_hypotheses_have_found_is_a_warning(well):
+    wrong = Wrong(Source.POSITION, "GNSS 60 m off", 1.0, True, ())
+    found = stage(with_health(well, wrong=(wrong,)), "estimate")
+    assert found.outcome is Outcome.WARNING
+    assert "GNSS 60 m off, corrected" in words(found)
 
 
 def test_what_an_estimate_waits_for_is_named(well):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -48,15 +49,18 @@ def sent(
     *names: str,
     autopilot: int | None = None,
     until: float = np.inf,
+    weigh: str = "off",
     **odometry: Any,
 ) -> list[Any]:
     """Return what a companion publishes during a flight, of the named messages.
 
     ``autopilot`` is a MAV_AUTOPILOT that the recorded heartbeats are to name instead; the flight
-    is fed until an ODOMETRY is for a later time than ``until``, s since boot.
+    is fed until an ODOMETRY is for a later time than ``until``, s since boot. ``weigh`` is the
+    setting ``weigh_faults``.
     """
     found = []
-    for message in flown(flight, names, configured(**odometry), autopilot):
+    config = replace(configured(**odometry), weigh_faults=weigh)
+    for message in flown(flight, names, config, autopilot):
         if hasattr(message, "quality") and message.time_usec > until * 1e6:
             break
         found.append(message)

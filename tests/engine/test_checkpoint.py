@@ -89,7 +89,7 @@ def test_what_is_encoded_is_decoded_to_the_bit():
     assert not found.sent.has_origin
     assert encode(found) == BYTES
     assert len(found.state.waiting) > 0
-    state = GOOD.state.block.nbytes + GOOD.state.waiting.nbytes
+    state = sum(part.nbytes for part in (GOOD.state.block, GOOD.state.waiting, GOOD.state.bank))
     assert len(BYTES) < state + 1024
 
 

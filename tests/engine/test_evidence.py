@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.core.memory.enums import Kind
+from ekf_companion.core.memory.enums import Kind, Source
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.engine.publisher import _estimator_status
+from ekf_companion.engine.publisher import _estimator_status, is_caught
 from ekf_companion.mavlink.encode import StatusFlag
 from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.measurements import Events
@@ -30,15 +30,38 @@ def dragged(start=40.0, speed=1.0):
     return Events(t_ns=events.t_ns, kind=events.kind, values=values)
 
 
-@pytest.fixture(scope="module")
-def seen():
+def looked(weigh):
     """Return the health after each fix of such a flight."""
-    events, pipeline, found = dragged(), Pipeline(KNOWN), []
+    events, found = dragged(), []
+    pipeline = Pipeline(replace(KNOWN, weigh_faults=weigh))
     ends = np.flatnonzero(events.kind == Kind.GNSS) + 1
     for first, last in zip([0, *ends[:-1]], ends, strict=True):
         pipeline.run(events.take(np.arange(first, last)))
         found.append(pipeline.health())
     return found
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Return the same by the gates' own rules."""
+    return looked("off")
+
+
+def test_a_receiver_that_is_dragged_is_wrong_by_its_way_where_the_hypotheses_decide():
+    found = looked("act")
+    quiet = [health for health in found if health.samples < 4000]
+    assert not any(health.wrong or health.is_receiver_refused for health in quiet)
+    late = [health for health in found if health.samples > 4500]
+    layout = by_name("ESTIMATOR_STATUS")
+    for health in late:
+        message = layout.record._make(layout.unpack(_estimator_status(health, 0)))
+        assert message.flags & StatusFlag.GPS_GLITCH
+        assert is_caught(health)
+        (words,) = [one.words for one in health.wrong if one.source is Source.POSITION]
+        way = (health.samples - 4000) * 0.01
+        assert words.startswith("GNSS slides, ")
+        assert float(words.split()[2]) == pytest.approx(way, rel=0.1, abs=1.0)
+    assert len(late) > 100
 
 
 def test_a_receiver_that_is_dragged_has_a_true_ratio_and_a_verdict_beside_it(seen):
@@ -60,14 +83,16 @@ def test_estimator_status_has_the_true_ratio_and_the_flag_of_a_glitch(seen):
     assert message.flags & StatusFlag.GPS_GLITCH
 
 
-def test_the_status_of_each_estimate_is_the_worst_of_its_reasons():
-    table, _ = run(dragged())
+@pytest.mark.parametrize("weigh", ["off", "act"])
+def test_the_status_of_each_estimate_is_the_worst_of_its_reasons(weigh):
+    table, _ = run(dragged(), replace(KNOWN, weigh_faults=weigh))
     status = table.column("status")
     reasons = table.column("reasons").astype(int)
     assert (reasons[status <= Status.OK] == 0).all()
     assert (reasons[status == Status.DEGRADED] != 0).all()
     assert not (reasons[status == Status.DEGRADED] & (Reason.UNAIDED | Reason.UNCERTAIN)).any()
-    assert Reason.POSITION_OFF in Reason(int(np.bitwise_or.reduce(reasons)))
+    is_off = Reason.POSITION_OFF in Reason(int(np.bitwise_or.reduce(reasons)))
+    assert is_off == (weigh == "off")
     assert COLUMNS[-1] == "reasons"
 
 

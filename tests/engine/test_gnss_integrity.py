@@ -1,6 +1,7 @@
 """GNSS_INTEGRITY: the ground station is told that the receiver was found to be wrong."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from pymavlink.dialects.v20 import development
@@ -44,21 +45,26 @@ class Tap:
         return [(t, unpack(frame)) for t, frame in self.said if frame.message_id == IDS[name]]
 
 
-def flown(*faults, kind=Kind.PX4):
+def flown(*faults, kind=Kind.PX4, weigh="off"):
     flight = Flight.plan("hover", SimConfig(imu=ImuConfig(rate=100.0)), duration=40.0)
-    tap = Tap()
+    tap = Tap(replace(Config(), weigh_faults=weigh))
     Bench(flight, tap, personality=kind, faults=[fault.parse(one) for one in faults]).run()
     return tap.of("GNSS_INTEGRITY")
 
 
-@pytest.mark.parametrize("kind", list(Kind))
-def test_of_a_receiver_that_is_right_nothing_is_said(kind):
-    assert not flown(kind=kind)
+BOTH = pytest.mark.parametrize("weigh", ["off", "act"])
 
 
+@BOTH
 @pytest.mark.parametrize("kind", list(Kind))
-def test_a_false_position_is_told_once_a_second_and_its_end_once(kind):
-    found = flown("gnss-jump:start=15,duration=10,east=80", kind=kind)
+def test_of_a_receiver_that_is_right_nothing_is_said(kind, weigh):
+    assert not flown(kind=kind, weigh=weigh)
+
+
+@BOTH
+@pytest.mark.parametrize("kind", list(Kind))
+def test_a_false_position_is_told_once_a_second_and_its_end_once(kind, weigh):
+    found = flown("gnss-jump:start=15,duration=10,east=80", kind=kind, weigh=weigh)
     states = [(m.raim_state, m.spoofing_state) for _, m in found]
     assert (FAILED, DETECTED) in states
     assert states[-1] == (OK, 0)
@@ -69,8 +75,9 @@ def test_a_false_position_is_told_once_a_second_and_its_end_once(kind):
     assert {(m.id, m.jamming_state, m.authentication_state) for _, m in found} == {(0, 0, 0)}
 
 
-def test_a_receiver_that_is_silent_is_no_false_one():
-    assert not flown("gnss-outage:start=15,duration=10")
+@BOTH
+def test_a_receiver_that_is_silent_is_no_false_one(weigh):
+    assert not flown("gnss-outage:start=15,duration=10", weigh=weigh)
 
 
 def test_pymavlink_reads_it_as_its_own_definition_says():

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.memory.enums import Aid, Source
 from ekf_companion.core.memory.state import State
 from ekf_companion.core.settings.settings import FilterSettings
 from ekf_companion.engine.announcer import Announcer
@@ -16,6 +18,7 @@ from ekf_companion.engine.pilot import PilotTexts
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.reasons import LONGEST_WORDS, ORDER, in_words
 from ekf_companion.engine.warm_start import Outcome, Why
+from ekf_companion.engine.wrong import Wrong
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.event import PeerLost, Rebooted
 from ekf_companion.mavlink.frame import Splitter
@@ -260,12 +263,51 @@ def test_a_session_that_did_not_listen_does_not_call_the_autopilot_lost():
     assert [one for one in session.events() if isinstance(one, PeerLost)]
 
 
+# What is wrong, where the hypotheses decide
+
+
+JUMP = Wrong(Source.POSITION, "GNSS 60 m off", 0.93, False, (Aid.POSITION,))
+FOUND = JUMP._replace(words="GNSS 61 m off", is_found=True, unused=())
+
+
+def test_what_is_found_is_told_at_once_and_that_it_is_over():
+    pilot = Pilot().see(Status.OK, seconds=3).see(Status.OK, wrong=(JUMP,))
+    pilot.see(Status.OK, wrong=(FOUND,), seconds=5)
+    assert pilot.read[1:] == ["GNSS 61 m off, corrected"]
+    pilot.see(Status.OK, seconds=5)
+    assert not pilot.read[2:]  # until it has lasted
+    pilot.see(Status.OK)
+    assert pilot.read[2:] == ["GNSS right again"]
+
+
+def test_what_is_suspected_is_told_once_it_lasts():
+    pilot = Pilot().see(Status.OK, seconds=3)
+    for _ in range(3):
+        pilot.see(Status.OK, wrong=(JUMP,)).see(Status.OK, seconds=2)
+    assert pilot.read == ["estimate OK"]
+    pilot.see(Status.OK, wrong=(JUMP,), seconds=9)
+    assert pilot.read[1:] == ["suspected: GNSS 60 m off"]
+
+
+def test_what_comes_and_goes_is_told_once():
+    pilot = Pilot().see(Status.OK)
+    for _ in range(120):
+        pilot.see(Status.OK, wrong=(FOUND,)).see(Status.OK)
+    assert pilot.read[1:] == ["GNSS 61 m off, corrected"]
+
+
+def test_a_receiver_that_is_suspected_is_not_called_lost():
+    pilot = Pilot().see(Status.DEAD_RECKONING, wrong=(JUMP,))
+    assert pilot.read == ["GNSS 60 m off, dead reckoning"]
+
+
 # A recorded flight
 
 
-def test_a_glitch_and_a_slide_are_named_within_five_seconds():
-    """60 m north from 51.65 s on for 10 s; 0.5 m/s east from 76.65 s on."""
-    read, companion, ticked = [], Companion(Config()), 0
+def read_in(weigh):
+    """Return what the pilot reads with its stamps, s: 60 m north from 51.65 s on for 10 s; 0.5 m/s
+    east from 76.65 s on."""
+    read, companion, ticked = [], Companion(replace(Config(), weigh_faults=weigh)), 0
     for now_ns, frame in frames("sitl-ap-copter-glitch-slide-flown"):
         companion.receive(frame, now_ns)
         if now_ns - ticked > SECOND // 20:
@@ -275,6 +317,22 @@ def test_a_glitch_and_a_slide_are_named_within_five_seconds():
             if one.message_id == IDS["STATUSTEXT"] and companion.pipeline is not None:
                 text = unpack(one).text.decode().removeprefix("Companion: ")
                 read.append((companion.pipeline.stamp_ns * 1e-9, text))
+    return read
+
+
+def test_a_glitch_and_a_slide_are_named_within_five_seconds_where_the_hypotheses_decide():
+    read = read_in("act")
+    glitch = [text for at, text in read if 51.65 < at < 56.65]
+    assert glitch == ["GNSS 60 m off, corrected"]
+    assert [text for at, text in read if 61.65 < at < 71.65] == ["GNSS right again"]
+    (slide,) = [text for at, text in read if 76.65 < at < 81.65]
+    assert re.fullmatch(r"GNSS slides, 1\.\d m, corrected", slide)
+    assert not [text for _, text in read if text.startswith(("degraded", "no ODOMETRY"))]
+    assert len(read) <= 10
+
+
+def test_a_glitch_and_a_slide_are_named_within_five_seconds():
+    read = read_in("off")
     glitch = [text for at, text in read if 51.65 < at < 56.65]
     assert glitch == ["degraded: GNSS 60 m off to one side", "degraded: GNSS is 60 m off, refused"]
     slide = [text for at, text in read if 76.65 < at < 81.65 and "OK" not in text]

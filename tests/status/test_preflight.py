@@ -107,13 +107,34 @@ def test_fixes_that_are_lost_are_told_with_since_when():
     assert found.reasons[0] == "no fix for 6 s: the receiver has no 3-D fix"
 
 
-def test_fixes_that_are_refused_are_told():
-    found = verdict(stand(f"gnss-jump:start=12,{WHOLE}", duration=14.5))
-    assert re.search(r"degraded: GNSS is 5\d m off, refused", found.reasons[0])
+OFF, ACT = (replace(Config(), weigh_faults=mode) for mode in ("off", "act"))
+"""By the gates' own rules, and where the fault hypotheses decide."""
+
+
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [
+        (OFF, r"the estimate is degraded: GNSS is 5\d m off, refused"),
+        (ACT, r"GNSS (50|49) m off, corrected"),
+    ],
+    ids=["off", "act"],
+)
+def test_fixes_that_are_refused_are_told(config, words):
+    found = verdict(stand(f"gnss-jump:start=12,{WHOLE}", duration=14.5, config=config))
+    assert re.match(words, found.reasons[0])
+
+
+def test_while_a_source_is_only_suspected_it_is_told_and_its_aid_is_called_refused():
+    """Three fixes come until it is beyond doubt: 12.4 s is before that, at 5 Hz and 0.12 s late."""
+    snapshot = stand(f"gnss-jump:start=12,{WHOLE}", duration=12.6, config=ACT).snapshot()
+    assert snapshot.preflight.causes == ("source wrong",)
+    assert re.fullmatch(r"suspected: GNSS (50|49) m off", snapshot.preflight.reasons[0])
+    assert re.fullmatch(r"suspected: GNSS (50|49) m off", snapshot.vehicle.aids["position"].why)
+    assert snapshot.vehicle.aids["position"].refused_s < 1.0
 
 
 def test_a_degraded_estimate_is_told_with_how_long_it_was_so_in_this_run():
-    snapshot = stand(f"gnss-jump:start=12,{WHOLE}", duration=14.5).snapshot()
+    snapshot = stand(f"gnss-jump:start=12,{WHOLE}", duration=14.5, config=OFF).snapshot()
     spent = {"degraded": {"position_refused": 180.4, "compass_missing": 3.0}}
     found = check(replace(snapshot, seconds=spent))
     assert re.search(
@@ -130,9 +151,12 @@ def test_the_seconds_of_a_run_are_charged_to_status_and_reason():
     assert whole == pytest.approx(14.0, abs=1.5)  # from the second look on, twice a second
 
 
-def test_a_receiver_that_has_settled_elsewhere_than_the_autopilot_is_told():
-    found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=12.0))
-    assert found.causes == ("position differs",)
+@pytest.mark.parametrize(
+    ("config", "cause"), [(OFF, "position differs"), (ACT, "source wrong")], ids=["off", "act"]
+)
+def test_a_receiver_that_has_settled_elsewhere_than_the_autopilot_is_told(config, cause):
+    found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=12.0, config=config))
+    assert found.causes == (cause,)
 
 
 @pytest.mark.parametrize("start", [0, 6])
@@ -164,10 +188,12 @@ def test_a_compass_without_which_there_is_no_heading_is_told():
     assert found.reasons[0] == "compass refused: the magnetic field is not the Earth's"
 
 
-def test_levels_that_drift_at_rest_are_told():
-    found = verdict(stand("accel-drift:start=4,forward=0.03", duration=20.0))
-    assert found.causes == ("levels drift",)
-    assert found.reasons[0].startswith("levels drift: pitch by ")
+@pytest.mark.parametrize("config", [OFF, ACT], ids=["off", "act"])
+def test_levels_that_drift_at_rest_are_told(config):
+    found = verdict(stand("accel-drift:start=4,forward=0.03", duration=20.0, config=config))
+    assert found.causes[-1] == "levels drift"
+    assert any(one.startswith("levels drift: pitch by ") for one in found.reasons)
+    assert config is ACT or len(found.reasons) == 1
 
 
 def test_a_declination_that_becomes_known_is_no_drift():
@@ -179,9 +205,14 @@ def test_a_declination_that_becomes_known_is_no_drift():
     assert watched.snapshot().vehicle.drift.seconds > 4.0
 
 
-def test_a_barometer_that_is_refused_is_told():
-    found = verdict(stand(f"baro-step:start=6,{WHOLE},height=40", duration=11.0))
-    assert found.reasons == ("barometer refused: outside its gate",)
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [(OFF, "barometer refused: outside its gate"), (ACT, "barometer 40 m off, corrected")],
+    ids=["off", "act"],
+)
+def test_a_barometer_that_is_refused_is_told(config, words):
+    found = verdict(stand(f"baro-step:start=6,{WHOLE},height=40", duration=11.0, config=config))
+    assert found.reasons == (words,)
 
 
 def test_a_range_finder_that_bounces_is_told_and_harms_nothing_else():

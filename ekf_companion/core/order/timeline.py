@@ -32,6 +32,7 @@ from cython.cimports.ekf_companion.core.filter.slow_error import (
 from cython.cimports.ekf_companion.core.filter.strapdown import set_origin
 from cython.cimports.ekf_companion.core.memory import enums
 from cython.cimports.ekf_companion.core.memory.bank import BANK
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.overlay import (
     Numbers,
     as_banks,
@@ -67,6 +68,7 @@ from cython.cimports.ekf_companion.core.output.estimate import (
 from cython.cimports.ekf_companion.core.output.odometry import write_odometry
 from cython.cimports.ekf_companion.core.output.protection import find_levels
 from cython.cimports.ekf_companion.core.start.reboot import carry_over
+from cython.cimports.ekf_companion.core.trust import shape
 from cython.cimports.ekf_companion.core.trust.gate import begin_reset
 from cython.cimports.libc.math import sqrt
 
@@ -959,6 +961,34 @@ class Timeline:
         if self.w.observation.has_bank:
             self._write_probabilities(found)
         return found
+
+    def declared(self) -> tuple[float, float, float, float, float, bool, bool]:
+        """Return by how much sources are off that were declared and are not right again.
+
+        Position and height of the receiver (m), its velocity in the level and vertically (m/s), the
+        heading (rad), each 0 where that is no more than what is not known of it, or than its usual
+        slow error; and whether position and height go on to slide.
+        """
+        off = [0.0, 0.0]
+        slides = [False, False]
+        rates = [0.0, 0.0]
+        heading = 0.0
+        if self.w.observation.has_bank:
+            b = address(self.banks[0])
+            for level, kind in enumerate((enums.FAULT_RECOVERY, enums.FAULT_RECOVERY_HEIGHT)):
+                size = root(shape.held_square(b, kind))
+                slides[level] = bool(shape.slide_square(b, kind) > 0.0)
+                # as of the end of such a fault
+                if slides[level] or size > root(THREE_SIGMA2 * shape.end_variance(self.x, b, kind)):
+                    off[level] = size
+            o = self.x.gnss_vel_offset
+            usual = root(THREE_SIGMA2) * float(self.k.gnss_vel_slow_std)
+            speeds = root(o[0] * o[0] + o[1] * o[1]), abs(float(o[2]))
+            rates = [speed if speed > usual else 0.0 for speed in speeds]
+            var = self.x.heading_std * self.x.heading_std + b.heading_off_var
+            if b.heading_off * b.heading_off > THREE_SIGMA2 * var:
+                heading = abs(float(b.heading_off))
+        return off[0], off[1], rates[0], rates[1], heading, slides[0], slides[1]
 
     def protection(self) -> tuple[float, float]:
         """Return the protection levels of now, horizontal and vertical, m.
