@@ -59,6 +59,7 @@ def measure(
         yield from _start(config, starts)
         yield from _bare(round(duration * RATE / 2.0))
         yield from _load(config, duration)
+        yield from _weighing(config, duration)
         config.write_text(config.read_text() + ODOMETRY.format(rate=RATE), encoding="ascii")
         yield from _loopback(config, duration)
         yield from _sustain(config, sustained)
@@ -108,6 +109,23 @@ def _load(config: Path, duration: float) -> Iterator[Result]:
         name="mavutil's share, which only receives the same", value=100.0 * alone, unit="%"
     )
     yield Result(name="daemon over mavutil", value=load / alone, unit="", aim=6.0 / 6.4)
+
+
+def _weighing(config: Path, duration: float) -> Iterator[Result]:
+    """Measure the same where the fault hypotheses decide."""
+    usual = config.read_text()
+    config.write_text(usual + "weigh_faults: act\n", encoding="ascii")
+    flight = plan(RATE, duration)
+    with open_socket() as ours, running(config, ours) as process:
+        ours.connect(first_datagram(ours, process))
+        _, _, load = fly(flight, ours, process.pid)
+        memory = _memory(process.pid)
+    config.write_text(usual, encoding="ascii")
+    name = "daemon's share of one processor, with weigh_faults: act"
+    yield Result(name=name, value=100.0 * load, unit="%")
+    yield Result(
+        name="daemon's resident memory, largest, with weigh_faults: act", value=memory, unit="MB"
+    )
 
 
 def _loopback(config: Path, duration: float) -> Iterator[Result]:

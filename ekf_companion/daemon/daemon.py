@@ -110,8 +110,6 @@ class Daemon:
 
     def __init__(self, config: Config) -> None:
         """Start the threads, and make the rest ready; raise what ``serve`` does."""
-        if config.weigh_faults == "act":
-            raise ConfigError("weigh_faults: act is tried on logs only; say report, or off")
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0

@@ -107,9 +107,10 @@ def test_firmware_that_knows_no_odometry_is_sent_what_it_knows(tmp_path, firmwar
     assert_a_replay_sends_the_same(flown.record, *names)
 
 
-def test_a_receiver_that_is_caught_is_told(tmp_path):
+@pytest.mark.parametrize("weigh", ["'off'", "act"])
+def test_a_receiver_that_is_caught_is_told(tmp_path, weigh):
     jump = fault.parse("gnss-jump:start=12,duration=4,east=80")
-    config = "output: {odometry: {age_limit: 10}}"
+    config = f"output: {{odometry: {{age_limit: 10}}}}\nweigh_faults: {weigh}"
     flown = fly(tmp_path, Kind.PX4, config, faults=[jump], duration=20.0)
     states = [(m.raim_state, m.spoofing_state) for m in flown.of("GNSS_INTEGRITY")]
     assert (3, 3) in states

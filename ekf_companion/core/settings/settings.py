@@ -545,4 +545,4 @@ class FilterSettings:
     weigh_faults: Literal["off", "report", "act"] = "off"
     """Weigh beside the estimate what may have begun to be wrong: some twenty kinds of faults, each
     with its odds. ``report`` tells them and changes no estimate; ``act`` lets them decide in place
-    of the gates' own rules, which is being tried. Either takes seven times the filter's time."""
+    of the gates' own rules, live as in logs. Either takes seven times the filter's time."""
