@@ -11,6 +11,7 @@ from functools import partial
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.announcer import Announcer
+from ekf_companion.engine.autopilot_frame import AutopilotFrame
 from ekf_companion.engine.checkpoint import UNSENT, Clocks, Vehicle, Why
 from ekf_companion.engine.comparison import Comparison
 from ekf_companion.engine.intake import Intake, open_live
@@ -198,11 +199,16 @@ class Companion:
             messages = publisher.due(estimate)
             for message in messages:
                 session.publish(message, now_ns, t_ns)
-            if messages and (is_fused := session.is_pose_fused) is not None:
-                publisher.frame.fix(estimate.origin, is_fused=is_fused)
-                session.origin.is_fixed = is_fused
+            if messages and session.guard.decision.is_fused != session.origin.is_fixed:
+                self._fix_frame(estimate, publisher.frame)
             found += messages
         return found
+
+    def _fix_frame(self, estimate: Estimate, frame: AutopilotFrame) -> None:
+        """Count from where what was just sent does, while the autopilot may fuse that."""
+        if (is_fused := self.session.is_pose_fused) is not None:
+            frame.fix(estimate.origin, is_fused=is_fused)
+            self.session.origin.is_fixed = is_fused
 
     def tick(self, now_ns: int) -> None:
         """Do what is due: heartbeats, requests, time-outs."""
