@@ -6,6 +6,8 @@ the present and of the marked pose. The number of voxels and of anchors is bound
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ekf_companion.lidar.deskew import Deskewed
@@ -31,7 +33,12 @@ class LocalMap:
         self.anchors: list[Anchor] = []
         self._usage: dict[int, float] = {}
         self._count = 0
-        self._insertions = 0
+        self._begin: float | None = None
+        """Stamp of the first scan, s, lidar clock."""
+
+    def time_of(self, stamp: float) -> float:
+        """Return the time since the first scan, s."""
+        return 0.0 if self._begin is None else stamp - self._begin
 
     def note(self, usage: dict[int, float]) -> None:
         """Take into account which share each anchor had in an update."""
@@ -49,7 +56,7 @@ class LocalMap:
         """
         if self.settings.anchors == 0:
             self._forget_far(x.pos_w)
-            self._put(scan, x, 0)
+            self._put(scan, x, 0, stamp)
             return P
         if self.settings.is_scan_to_scan and len(scan.points):
             self.voxels = VoxelMap(self.settings)
@@ -62,12 +69,16 @@ class LocalMap:
         # The error of this part is the mean of those of the states by which it was made
         k = len(self.anchors) - 1
         T = shift_by_state(x, self.anchors[k].about_w, scan.rate_b)
-        self._insertions += 1
-        share = 1.0 / self._insertions
+        self._put(scan, x, self.anchors[k].number, stamp)
+        count = self.anchors[k].scans + 1
+        share = 1.0 / count
         P, at = P.copy(), slice(first(k), first(k + 1))
         P[at] += share * (T @ P[:N] - P[at])
         P[:, at] += share * (P[:, :N] @ T.T - P[:, at])
-        self._put(scan, x, self.anchors[k].number)
+        time = self.time_of(stamp) - self.anchors[k].time
+        self.anchors[k] = replace(
+            self.anchors[k], scans=count, time=self.anchors[k].time + share * time
+        )
         return P
 
     def _part(self) -> float:
@@ -75,10 +86,13 @@ class LocalMap:
         is_first = len(self.anchors) == 1
         return self.settings.spacing * (FIRST_PART if is_first and self._is_moving else 1.0)
 
-    def _put(self, scan: Deskewed, x: State, owner: int) -> None:
+    def _put(self, scan: Deskewed, x: State, owner: int, stamp: float) -> None:
         """Put the points of a scan into the map where the state says they are."""
         variance = noise_of_points(scan.points, self.settings)
-        self.voxels.insert(scan.placed(x)[1], variance, owner)
+        if self._begin is None:
+            self._begin = stamp
+        time = stamp - self._begin - scan.before
+        self.voxels.insert(scan.placed(x)[1], variance, time, owner, scan.points)
 
     def _begin_anchor(self, x: State, P: Array, stamp: float) -> Array:
         """Begin another part of the map, whose error is not that of the ones before."""
@@ -88,7 +102,6 @@ class LocalMap:
         self.anchors.append(Anchor(self._count, stamp, x.pos_w))
         self._usage[self._count] = 1.0
         self._count += 1
-        self._insertions = 0
         self._forget_far(x.pos_w)
         return self._drop_anchors(wider)
 

@@ -307,8 +307,15 @@ class Odometry:
         update = correct(
             x,
             P,
-            lambda x, P, apart: sum_rows(
-                some, x, P, apart, self.map.voxels, self.settings, has_mounting=has_mounting
+            lambda x, P, known: sum_rows(
+                some,
+                x,
+                P,
+                known,
+                self.map.voxels,
+                self.settings,
+                self.map.time_of(end_l),
+                has_mounting=has_mounting,
             ),
             self.map.anchors,
             self.settings.iterations,

@@ -21,6 +21,12 @@ class Planes:
     """Two axes in the plane, times the sigma of its slope along each, shape (k, 2, 3)."""
     spread: Array
     """Variance of its offset at its centre, and of the points about it, m^2, shape (k, 2)."""
+    time: Array
+    """Mean time of its points, s since the first scan of the map, shape (k,)."""
+    sweep: Array
+    """Gradient of that time along the plane, s/m, shape (k, 3)."""
+    drift: Array
+    """Variance of the velocity across it as it was put in, by its points, m^2/s^2, shape (k,)."""
     owner: Indices
     """Anchor that the plane is tied to, shape (k,)."""
     voxel: Indices

@@ -25,8 +25,8 @@ from ekf_companion.lidar import loops
 from ekf_companion.lidar.deskew import Deskewed
 from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.lidar.state import POSE, State
-from ekf_companion.lidar.voxel_map import LASERS, VoxelMap
+from ekf_companion.lidar.state import POSE, VEL, State
+from ekf_companion.lidar.voxel_map import LARGEST_SLOPE, LASERS, VoxelMap
 from ekf_companion.nav.arrays import Array, Indices, Mask
 
 GATE = 5.0
@@ -44,7 +44,18 @@ CHANCE = 3.0
 """Standard errors by which a hold must exceed the noise of the normals."""
 
 
-_NOTHING = np.zeros((3, 3))
+class Known(NamedTuple):
+    """What a row depends on of the anchor of its plane."""
+
+    apart: Array
+    """Covariance of the position relative to it, m^2, shape (3, 3)."""
+    time: float
+    """Mean time of its scans, s since the first one of the map."""
+
+
+_NOTHING = Known(np.zeros((3, 3)), 0.0)
+RATE, MOUNTING = 6, 12
+"""First columns of a row for velocity and gyro bias, and for the mounting."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +81,13 @@ class Sums:
     """Normal equations of one scan at a state."""
 
     columns: int
-    """Number of the state's columns; the six of the anchor follow."""
+    """Number of the state's columns; six of the anchor and six of the scan follow."""
     owners: Indices
     """Numbers of the anchors, shape (g,)."""
     A: Array
-    """For each anchor the squares of the rows, shape (g, columns + 6, columns + 6)."""
+    """For each anchor the squares of the rows, shape (g, columns + 12, columns + 12)."""
     b: Array
-    """For each anchor their products with the innovation, shape (g, columns + 6)."""
+    """For each anchor their products with the innovation, shape (g, columns + 12)."""
     common: Array
     """Variances of an error of the scan as a whole: shift, m^2, and rotation, rad^2, shape (6,)."""
     match: Match
@@ -94,16 +105,17 @@ def sum_rows(
     scan: Deskewed,
     x: State,
     P: Array,
-    apart: dict[int, Array],
+    known: dict[int, Known],
     voxels: VoxelMap,
     settings: Settings,
+    now: float,
     *,
     has_mounting: bool,
 ) -> Sums | None:
     """Match the points of a scan and sum up their rows; None if there are none.
 
-    P is the covariance of attitude and position, shape (6, 6), by which points are gated;
-    ``apart`` that of the position relative to each anchor, shape (3, 3).
+    P is the covariance of the error state, by which points are gated; ``known`` is what is known
+    of each anchor, and ``now`` the time of the state, s since the first scan of the map.
     """
     y, q = scan.placed(x)
     planes = voxels.match(q)
@@ -113,7 +125,8 @@ def sum_rows(
     rows = scan.rows(x, y, q, planes.normal, has_mounting=has_mounting)
     owners, group = np.unique(planes.owner, return_inverse=True)
     shared = Shared.of(planes, group, len(owners))
-    shift = np.array([apart.get(owner, _NOTHING) for owner in owners.tolist()]).reshape(-1, 9)
+    about = [known.get(owner, _NOTHING) for owner in owners.tolist()]
+    shift = np.array([one.apart for one in about]).reshape(-1, 9)
     s = settings
     made = np.empty((len(q), 3))
     loops.weigh(
@@ -129,11 +142,12 @@ def sum_rows(
         group,
         shift,
         rows,
-        np.ascontiguousarray(P),
+        np.ascontiguousarray(P[:POSE, :POSE]),
         np.array([s.range_noise, s.angle_noise, s.range_bias, GATE, TAIL]),
         made,
     )
     z, R, weight = made.T.copy()
+    weight[_lean_var(planes, P[VEL, VEL]) > LARGEST_SLOPE**2] = 0.0
     kept = weight > 0.0
     if not kept.any():
         return None
@@ -143,10 +157,13 @@ def sum_rows(
     bare = np.einsum("nij,nj->ni", held.leave[group], planes.normal)
     U = np.empty((3, 0))
     if held.is_lost[-1].any():
-        U = _open_directions(held.directions[:, held.is_lost[-1]], planes, weight, apart)
+        U = _open_directions(held.directions[:, held.is_lost[-1]], planes, weight, known)
         bare = bare - (bare @ U) @ U.T
     if (held.hold < 1.0).any():
         rows = scan.rows(x, y, q, np.ascontiguousarray(bare), has_mounting=has_mounting)
+    put_in = np.array([one.time for one in about])[group]
+    share = _share(planes, q, put_in, now) if known else np.ones(len(q))
+    rows = _with_anchor(rows, share)
     width = rows.shape[1]
     A, b = np.zeros((len(owners) * width, width)), np.zeros((len(owners), width))
     loops.sum_rows(rows, z, weight, group, A, b)
@@ -154,7 +171,7 @@ def sum_rows(
     # The biases of the few lasers that see a surface do not average out
     bias = settings.range_bias**2 / LASERS
     return Sums(
-        width - POSE,
+        width - 2 * POSE,
         owners,
         A.reshape(-1, width, width),
         b,
@@ -169,6 +186,48 @@ def sum_rows(
         ),
         dict(zip(owners.tolist(), usage.tolist(), strict=True)),
     )
+
+
+def _with_anchor(rows: Array, share: Array) -> Array:
+    """Return rows of what a plane has of its anchor's error, and of the state's the rest.
+
+    Args:
+        rows: By the state and by the scan as a whole, shape (n, w + 6).
+        share: Of the anchor's, shape (n,).
+
+    Returns:
+        By the state, by the anchor and by the scan as a whole, shape (n, w + 12).
+    """
+    own, scan = rows[:, :-POSE].copy(), rows[:, -POSE:]
+    own[:, :RATE] *= share[:, None]
+    own[:, MOUNTING:] *= share[:, None]
+    return np.hstack([own, share[:, None] * scan, scan])
+
+
+def _lean_var(planes: Planes, P_vel: Array) -> Array:
+    """Return the variance of what planes lean by the velocity they were put in by, rad^2, (n,).
+
+    Of that velocity the filter knows something, and the points of a plane by themselves.
+    """
+    var = np.einsum("ni,ij,nj->n", planes.normal, P_vel, planes.normal)
+    var *= planes.drift / (var + planes.drift)
+    return np.asarray(var * np.einsum("ni,ni->n", planes.sweep, planes.sweep))
+
+
+def _share(planes: Planes, q: Array, made: Array, now: float) -> Array:
+    """Return which share planes have of their anchor's error at some points, shape (n,).
+
+    A plane has the error of the pose at the time when it was put in there: at the mean time of its
+    part that is the anchor's, now the state's, and in between it goes from one to the other.
+
+    Args:
+        planes: One for each point.
+        q: Points in w, m, shape (n, 3).
+        made: Mean time of the part of each plane, s since the first scan of the map, shape (n,).
+        now: Of the state, s since then.
+    """
+    time = planes.time + np.einsum("ni,ni->n", planes.sweep, q - planes.centre)
+    return np.asarray(np.clip((now - time) / np.maximum(now - made, 1e-6), 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,7 +306,7 @@ def _hold(shared: Shared, weight: Array) -> _Hold:
     )
 
 
-def _open_directions(found: Array, planes: Planes, weight: Array, apart: dict[int, Array]) -> Array:
+def _open_directions(found: Array, planes: Planes, weight: Array, known: dict[int, Known]) -> Array:
     """Return an orthonormal basis of the directions without hold, shape (3, m).
 
     The normals show them but for their own noise. Rows that kept a little of the true ones would
@@ -256,8 +315,8 @@ def _open_directions(found: Array, planes: Planes, weight: Array, apart: dict[in
     U = np.linalg.qr(found)[0]
     m = U.shape[1]
     P = np.zeros((3, 3))
-    for owner, shift in apart.items():
-        P += shift * float(weight[planes.owner == owner].sum())
+    for owner, one in known.items():
+        P += one.apart * float(weight[planes.owner == owner].sum())
     size, axes = np.linalg.eigh(P)
     if m == 3 or size[3 - m] < SEPARATE**2 * size[2 - m]:
         return U

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.lidar.relocation import Place
-from ekf_companion.lidar.rows import Sums
+from ekf_companion.lidar.rows import Known, Sums
 from ekf_companion.lidar.state import (
     ACCEL_BIAS,
     ATT,
@@ -62,6 +62,10 @@ class Anchor:
     stamp: float
     """At its beginning, s, lidar clock."""
     about_w: Array
+    scans: int = 0
+    """That were put in."""
+    time: float = 0.0
+    """Mean of theirs, s since the first scan of the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +82,7 @@ class Update:
 def correct(
     prior: State,
     P: Array,
-    rows: Callable[[State, Array, dict[int, Array]], Sums | None],
+    rows: Callable[[State, Array, dict[int, Known]], Sums | None],
     anchors: Sequence[Anchor],
     iterations: int,
     *,
@@ -89,13 +93,13 @@ def correct(
     A mounting and a delay that are held are considered, as anchors are, and not corrected.
     """
     x, sums = prior, None
-    apart = _apart(prior, P, anchors)
+    known = _known(prior, P, anchors)
     has_excess = bool(P[EXCESS, EXCESS].any())
     L = np.sqrt(np.maximum(np.diagonal(P)[:N], 1e-24))
     held = np.arange(N)[CALIBRATION if is_mounting_held else slice(0)]
     kept = np.concatenate([held, np.arange(N, len(P))])
     for iteration in range(1, iterations + 1):
-        sums = rows(x, P[:POSE, :POSE], apart)
+        sums = rows(x, P[:N, :N], known)
         if sums is None:
             return Update(prior, P, None, iteration)
         e = x.minus(prior)
@@ -110,7 +114,7 @@ def correct(
         gained = P_here[:N, seen] @ np.linalg.solve(S, b + A @ full[seen])
         open_w = sums.match.open_w
         if open_w.shape[1]:
-            gained, e = _without(open_w, gained), _without(open_w, e)
+            gained = _without(open_w, gained)
         dx = gained - e
         dx[held] = 0.0
         after = x.plus(dx)
@@ -139,8 +143,8 @@ def correct(
     raise AssertionError("no iterations")
 
 
-def _apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
-    """Return the covariance of the position relative to each anchor, m^2, shape (3, 3)."""
+def _known(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Known]:
+    """Return what is known of each anchor."""
     count = len(anchors)
     if not count:
         return {}
@@ -150,7 +154,7 @@ def _apart(x: State, P: Array, anchors: Sequence[Anchor]) -> dict[int, Array]:
     own = blocks[np.arange(count), :, np.arange(count)]
     mixed = across @ T.transpose(0, 2, 1)
     made = P[POS, POS] + mixed + mixed.transpose(0, 2, 1) + T @ own @ T.transpose(0, 2, 1)
-    return {one.number: made[k] for k, one in enumerate(anchors)}
+    return {one.number: Known(made[k], one.time) for k, one in enumerate(anchors)}
 
 
 def at_place(x: State, P: Array, anchors: Sequence[Anchor], place: Place) -> Array:
@@ -176,24 +180,24 @@ def assemble(
     place = {anchor.number: k for k, anchor in enumerate(anchors)}
     tied = [g for g, owner in enumerate(sums.owners.tolist()) if owner in place]
     which = [place[owner] for owner in sums.owners[tied].tolist()]
-    size = m + POSE * len(tied)
+    size, its, scan = m + POSE * len(tied), slice(m, m + POSE), slice(m + POSE, None)
     seen = np.empty(size, dtype=np.int64)
     seen[:m] = SEEN if m == len(SEEN) else SEEN_WITH_MOUNTING
     A, b = np.zeros((size, size)), np.zeros(size)
     A[:m, :m], b[:m] = sums.A[:, :m, :m].sum(axis=0), sums.b[:, :m].sum(axis=0)
     # What all rows of a scan share: K' of the sums that move it as a whole
     K = np.zeros((size, POSE))
-    K[:m] = sums.A[:, :m, m:].sum(axis=0)
-    D, d = sums.A[:, m:, m:].sum(axis=0), sums.b[:, m:].sum(axis=0)
+    K[:m] = sums.A[:, :m, scan].sum(axis=0)
+    D, d = sums.A[:, scan, scan].sum(axis=0), sums.b[:, scan].sum(axis=0)
     if tied:
         T = -moved_to(x.pos_w - np.array([anchors[k].about_w for k in which]))
-        across = sums.A[tied, :m, m:] @ T
-        by_shift = T.transpose(0, 2, 1) @ sums.A[tied, m:, m:]
-        own = by_shift @ T
+        back = T.transpose(0, 2, 1)
+        across = sums.A[tied, :m, its] @ T
+        own = back @ sums.A[tied, its, its] @ T
         A[:m, m:] = across.transpose(1, 0, 2).reshape(m, -1)
         A[m:, :m] = A[:m, m:].T
-        b[m:] = np.einsum("gij,gi->gj", T, sums.b[tied, m:]).ravel()
-        K[m:] = by_shift.reshape(-1, POSE)
+        b[m:] = np.einsum("gij,gi->gj", T, sums.b[tied, its]).ravel()
+        K[m:] = (back @ sums.A[tied, its, scan]).reshape(-1, POSE)
         at = np.arange(len(which))
         A[m:, m:].reshape(len(which), POSE, len(which), POSE)[at, :, at] = own
         seen[m:] = (first(0) + POSE * np.array(which)[:, None] + np.arange(POSE)).ravel()

@@ -22,7 +22,7 @@ from cython.cimports.libc.math import floor, sqrt
 
 from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.settings import Settings
-from ekf_companion.nav.arrays import Array, Column, Const, Table
+from ekf_companion.nav.arrays import Array, Column, Const, Indices, Table
 
 _LEAST_SPOTS = 6
 """Of a plane: three make it; as many again say how thick it is. A lidar at rest strikes the same
@@ -31,12 +31,19 @@ _SPOT = 4.0
 """Size of a spot, in the noise of a range: points that are nearer may be of the same one."""
 _CELLS = 8.0
 """Spots along the edge of a voxel that are told apart, at most."""
+_LEAST_FANS = 3
+"""Azimuths of rays by which a plane shows the velocity it was put in by: where those of one or two
+go as the lidar moves is a plane too, which leans by how the lidar is thought to move."""
+_FAN = 5e-3
+"""Angle of a fan, rad: many times the noise of a beam's direction, and no more than there is
+between the columns of a dense lidar."""
 _PLACES = 61
 """Bits that mark them; a prime, so that neighbours have different ones."""
 _MOST_POINTS = 100.0
 """Of a voxel: its plane is then known to a tenth of the noise of a point."""
-_LARGEST_SLOPE = 0.15
+LARGEST_SLOPE = 0.15
 """Largest sigma of a plane's slope, rad: beyond it sine and angle differ by more than noise."""
+_LARGEST_SLOPE = LARGEST_SLOPE
 THICKEST = 3.0
 """Largest thickness of a plane, of the noise of a range."""
 LASERS = 2.0
@@ -48,6 +55,8 @@ _SHIFT = 0.377
 """Of the grid of each size relative to the one before, of its voxels."""
 _LEAST_VARIANCE = 1e-8
 """Of points along any axis, m^2: what rounding leaves."""
+_LEAST_TIME = 1e-6
+"""Variance of times at one place, s^2: what rounding leaves."""
 _ALONG_FACE = 0.9
 """Cosine from which on a normal is that of a face."""
 _SWEEPS = 12
@@ -77,7 +86,16 @@ _CENTRE = 18
 _ALONG = 21
 _OFFSET = 27
 _SCATTER = 28
-_WIDTH = 29
+_TIME = 29
+"""Mean time of the points."""
+_SWEEP = 30
+"""Its gradient along the plane: where rays move with the lidar, what they strike has one."""
+_DRIFT = 33
+"""Variance of an error of the velocity along the normal: by how thick that would make the plane,
+where times do not follow from places."""
+_TIMES = 34
+"""Sums of the time, of its products with x, y and z about the middle, and of its square."""
+_WIDTH = 39
 
 
 class VoxelMap:
@@ -91,6 +109,8 @@ class VoxelMap:
     """Variance of a point's distance from the plane, without its own noise."""
     _spots: Column[np.int64]
     """A bit for each spot of a voxel that was struck."""
+    _fans: Column[np.int64]
+    """A bit for each azimuth, in the lidar's frame, of the rays."""
     _marks: Column[np.int64]
     """The last insertion that changed a voxel."""
     _changed: Column[np.int64]
@@ -113,6 +133,7 @@ class VoxelMap:
         self._owners = np.zeros(1024, dtype=np.int64)
         self._costs = np.zeros(1024)
         self._spots = np.zeros(1024, dtype=np.int64)
+        self._fans = np.zeros(1024, dtype=np.int64)
         self._marks = np.zeros(1024, dtype=np.int64)
         self._changed = np.zeros(1024, dtype=np.int64)
         self._slots = np.full((2048, 2), -1, dtype=np.int64)
@@ -122,13 +143,39 @@ class VoxelMap:
         """Return the number of voxels of all sizes."""
         return self.used
 
-    def insert(self, points_w: Array, variance: Array, owner: int) -> None:
-        """Put in points, shape (n, 3), with the variance of each along any axis, shape (n,)."""
+    def insert(
+        self,
+        points_w: Array,
+        variance: Array,
+        time: Array,
+        owner: int,
+        points: Array | None = None,
+    ) -> None:
+        """Put in points.
+
+        Args:
+            points_w: m, shape (n, 3).
+            variance: Of each along any axis, m^2, shape (n,).
+            time: Of each, s, shape (n,).
+            owner: The anchor that they are tied to.
+            points: The same in the lidar's frame, m; None: it is in the origin.
+        """
         self._make_room(self.used + len(points_w) * self._levels)
-        self.insert_each(np.ascontiguousarray(points_w), np.ascontiguousarray(variance), owner)
+        self.insert_each(
+            np.ascontiguousarray(points_w),
+            np.ascontiguousarray(variance),
+            np.ascontiguousarray(time),
+            _fans(points_w if points is None else points),
+            owner,
+        )
 
     def insert_each(
-        self, points: Const[Table[np.float64]], variance: Const[Column[np.float64]], owner: int
+        self,
+        points: Const[Table[np.float64]],
+        variance: Const[Column[np.float64]],
+        time: Const[Column[np.float64]],
+        fans: Const[Column[np.int64]],
+        owner: int,
     ) -> None:
         """Do the work of :meth:`insert`, where there is room."""
         self._insertion += 1
@@ -146,6 +193,8 @@ class VoxelMap:
                     self._changed[changed] = row
                     changed += 1
                 self._add(row, size, points[i, 0], points[i, 1], points[i, 2], variance[i], owner)
+                self._add_time(row, points[i, 0], points[i, 1], points[i, 2], time[i])
+                self._fans[row] |= fans[i]
             size *= 2.0
         for k in range(changed):
             self._fit(self._changed[k])
@@ -165,7 +214,7 @@ class VoxelMap:
         self._slots[at, 0], self._slots[at, 1] = key, row
         self._keys[row] = key
         self._costs[row] = _NONE
-        self._marks[row] = self._spots[row] = 0
+        self._marks[row] = self._spots[row] = self._fans[row] = 0
         for column in range(_WIDTH):
             self._rows[row, column] = 0.0
         self._rows[row, _MIDDLE] = (i + 0.5 - shift) * size
@@ -215,6 +264,14 @@ class VoxelMap:
             self._owners[row] = owner
             self._rows[row, _LEAD] = 1.0
 
+    def _add_time(self, row: int, x: float, y: float, z: float, time: float) -> None:
+        """Add the time of a point to the sums of a voxel."""
+        self._rows[row, _TIMES] += time
+        self._rows[row, _TIMES + 1] += time * (x - self._rows[row, _MIDDLE])
+        self._rows[row, _TIMES + 2] += time * (y - self._rows[row, _MIDDLE + 1])
+        self._rows[row, _TIMES + 3] += time * (z - self._rows[row, _MIDDLE + 2])
+        self._rows[row, _TIMES + 4] += time * time
+
     def _fit(self, row: int) -> None:
         """Fit the plane of a voxel."""
         if not self._has_spots(row):
@@ -248,8 +305,24 @@ class VoxelMap:
         first: float = remaining / max(A[one, one] - expected, _LEAST_VARIANCE)
         second: float = remaining / max(A[other, other] - expected, _LEAST_VARIANCE)
         is_plane = thick < self._thickest and max(first, second) < _LARGEST_SLOPE**2
+        time = self._rows[row, _TIMES] / n
+        self._rows[row, _TIME] = time
+        tx = self._rows[row, _TIMES + 1] / n - time * mx
+        ty = self._rows[row, _TIMES + 2] / n - time * my
+        tz = self._rows[row, _TIMES + 3] / n - time * mz
+        left: float = self._rows[row, _TIMES + 4] / n - time * time
+        by_one: float = tx * A[3, one] + ty * A[4, one] + tz * A[5, one]
+        left -= by_one * by_one / max(A[one, one], _LEAST_VARIANCE)
+        by_one /= max(A[one, one] - expected, _LEAST_VARIANCE)
+        by_other: float = tx * A[3, other] + ty * A[4, other] + tz * A[5, other]
+        left -= by_other * by_other / max(A[other, other], _LEAST_VARIANCE)
+        by_other /= max(A[other, other] - expected, _LEAST_VARIANCE)
+        self._rows[row, _DRIFT] = _NONE
+        if self._has_fans(row):
+            self._rows[row, _DRIFT] = thick / (n * max(left, _LEAST_TIME))
         edge = self._size * (1 << (self._keys[row] & _LEVELS))
         for k in range(3):
+            self._rows[row, _SWEEP + k] = by_one * A[3 + k, one] + by_other * A[3 + k, other]
             mean = self._rows[row, _SUMS + k] / n
             # A plane along a face has lost the points on its other side
             if abs(0.5 * edge - abs(mean)) < self._face and abs(A[3 + k, least]) > _ALONG_FACE:
@@ -269,6 +342,16 @@ class VoxelMap:
         for _ in range(_LEAST_SPOTS - 1):
             left &= left - 1
         return left != 0
+
+    def _has_fans(self, row: int) -> bool:
+        """Return whether rays had enough azimuths; two that are next to each other may be one."""
+        seen = self._fans[row]
+        count: int = 0
+        while seen != 0:
+            lowest = seen & -seen
+            seen &= ~(3 * lowest)
+            count += 1
+        return count >= _LEAST_FANS
 
     def _diagonalise(self) -> None:
         """Rotate the first three rows of the axes to a diagonal; their columns go into the rest.
@@ -316,7 +399,10 @@ class VoxelMap:
             found[:, _NORMAL:_CENTRE].copy(),
             found[:, _CENTRE:_ALONG].copy(),
             found[:, _ALONG:_OFFSET].copy().reshape(-1, 2, 3),
-            found[:, _OFFSET:_WIDTH].copy(),
+            found[:, _OFFSET:_TIME].copy(),
+            found[:, _TIME].copy(),
+            found[:, _SWEEP:_DRIFT].copy(),
+            found[:, _DRIFT].copy(),
             np.asarray(self._owners)[voxel],
             voxel,
         )
@@ -384,6 +470,7 @@ class VoxelMap:
         self._keys[row], self._owners[row] = self._keys[self.used], self._owners[self.used]
         self._costs[row], self._marks[row] = self._costs[self.used], self._marks[self.used]
         self._spots[row] = self._spots[self.used]
+        self._fans[row] = self._fans[self.used]
         for column in range(_WIDTH):
             self._rows[row, column] = self._rows[self.used, column]
 
@@ -397,6 +484,7 @@ class VoxelMap:
         self._keys, self._owners = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
         self._costs, self._marks = np.zeros(size), np.zeros(size, dtype=np.int64)
         self._spots = np.zeros(size, dtype=np.int64)
+        self._fans = np.zeros(size, dtype=np.int64)
         for new, old in zip(self._columns(), before, strict=True):
             new[: self.used] = old[: self.used]
         self._changed = np.zeros(size, dtype=np.int64)
@@ -407,6 +495,7 @@ class VoxelMap:
         """Return what is kept of each voxel."""
         columns = [np.asarray(self._rows), np.asarray(self._costs), np.asarray(self._keys)]
         columns += [np.asarray(self._owners), np.asarray(self._marks), np.asarray(self._spots)]
+        columns.append(np.asarray(self._fans))
         return columns
 
     def place_each(self) -> None:
@@ -426,6 +515,12 @@ class VoxelMap:
         return np.asarray(
             smallest[:, _MIDDLE:_COUNT] + smallest[:, _SUMS : _SUMS + 3] / smallest[:, [_COUNT]]
         )
+
+
+def _fans(points: Array) -> Indices:
+    """Return the bit of the azimuth of each point in the lidar's frame, shape (n,)."""
+    cell = np.floor(np.arctan2(points[:, 1], points[:, 0]) / _FAN).astype(np.int64)
+    return np.asarray(np.int64(1) << (cell % _PLACES))
 
 
 def _key(i: int, j: int, k: int, level: int) -> int:

@@ -46,11 +46,14 @@ def filled(module):
     """Return a map of three parts of which one was forgotten, and what is far."""
     voxels = module.VoxelMap(Settings())
     for owner in range(3):
-        voxels.insert(walls(owner), np.full(400, 4e-4), owner)
+        voxels.insert(walls(owner), np.full(400, 4e-4), owner + np.linspace(0.0, 1.0, 400), owner)
     voxels.forget_owner(1)
-    voxels.insert(walls(4), np.full(400, 4e-4), 3)
+    voxels.insert(walls(4), np.full(400, 4e-4), np.full(400, 3.0), 3)
     voxels.forget_far(np.array([0.5, -0.5, 0.0]), 3.5)
     return voxels
+
+
+LATER = ("time", "sweep", "drift", "owner", "voxel")
 
 
 def scan_sums(loops, voxel_map):
@@ -97,7 +100,7 @@ def test_a_map_gives_the_same_bits_compiled_or_not():
     assert np.array_equal(one.points(), other.points())
     a, b = (voxels.match(walls(9)) for voxels in (one, other))
     assert len(a.index) > 100
-    for name in ("index", "normal", "centre", "along", "spread", "owner", "voxel"):
+    for name in (*("index", "normal", "centre", "along", "spread"), *LATER):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
 
 
@@ -108,11 +111,20 @@ def test_axes_are_those_of_the_points(either):
         points = 0.5 + (rng.standard_normal((30, 3)) * [0.003, 0.1, 0.12]) @ axes.T
         points = np.clip(points, 0.05, 0.95)
         voxels = either[1].VoxelMap(Settings(voxel=1.0, levels=1))
-        voxels.insert(points, np.full(30, 4e-4), 0)
+        times = rng.uniform(0.0, 1.0, 30)
+        voxels.insert(points, np.full(30, 4e-4), times, 0, rng.standard_normal((30, 3)))
         found = voxels.match(points.mean(axis=0)[None])
         size, expected = np.linalg.eigh(np.cov(points.T, bias=True))
         assert abs(found.normal[0] @ expected[:, 0]) == pytest.approx(1.0, abs=1e-9)
         assert found.spread[0, 1] == pytest.approx(size[0] * 30 / 27, rel=1e-6)
+        # Times by places, whose variances have noise
+        d = (points - points.mean(axis=0)) @ expected[:, 1:]
+        across = d.T @ times / 30
+        sweep = expected[:, 1:] @ (across / (size[1:] - 4e-4))
+        assert np.allclose(found.sweep[0], sweep, rtol=1e-6, atol=1e-9)
+        assert found.time[0] == pytest.approx(times.mean(), rel=1e-9)
+        left = times.var() - across @ (across / size[1:])
+        assert found.drift[0] == pytest.approx(found.spread[0, 1] / 30 / left, rel=1e-6)
 
 
 def test_what_stays_is_found_when_much_is_forgotten(either):
@@ -120,10 +132,10 @@ def test_what_stays_is_found_when_much_is_forgotten(either):
     voxels = either[1].VoxelMap(Settings(levels=2))
     points = rng.uniform(-20.0, 20.0, (600, 3))
     for number, radius in enumerate((19.0, 12.0, 6.0)):
-        voxels.insert(points, np.full(600, 4e-4), number)
+        voxels.insert(points, np.full(600, 4e-4), np.zeros(600), number)
         voxels.forget_far(np.zeros(3), radius)
     left = len(voxels)
     near = points[np.linalg.norm(points, axis=1) < 5.0]
     assert len(near) > 0
-    voxels.insert(near, np.full(len(near), 4e-4), 3)
+    voxels.insert(near, np.full(len(near), 4e-4), np.zeros(len(near)), 3)
     assert len(voxels) == left

@@ -16,7 +16,7 @@ from ekf_companion.cli import app
 from ekf_companion.lidar.planes import Planes
 from ekf_companion.lidar.readers import read
 from ekf_companion.lidar.recording import InertialSamples, Mounting, Scan
-from ekf_companion.lidar.rows import Shared, _hold
+from ekf_companion.lidar.rows import Shared, _hold, _lean_var, _share
 from ekf_companion.lidar.settings import Settings
 from ekf_companion.lidar.solution import lines_of, solve
 from ekf_companion.lidar.state import exp, log
@@ -211,7 +211,10 @@ def planes(normal, sigma, rng):
     noisy = normal + np.einsum("nk,nki->ni", rng.standard_normal((k, 2)), along)
     noisy /= np.linalg.norm(noisy, axis=1)[:, None]
     index, none = np.arange(k), np.zeros(k, dtype=np.int64)
-    made = Planes(index, noisy, np.zeros((k, 3)), along, np.zeros((k, 2)), none, index)
+    nothing, still = np.zeros((k, 3)), np.zeros(k)
+    made = Planes(
+        index, noisy, nothing, along, np.zeros((k, 2)), still, nothing, still, none, index
+    )
     return Shared.of(made, none, 1)
 
 
@@ -237,7 +240,7 @@ def test_a_voxel_finds_its_plane_and_how_well_it_knows_it():
         points = rng.uniform(-0.2, 0.2, (60, 2)) @ axes + rng.normal(0, 0.02, (60, 1)) * normal
         points += np.array([0.5, 0.5, 0.5])
         voxels = VoxelMap(Settings(voxel=1.0, levels=1, range_bias=0.0))
-        voxels.insert(points, np.full(60, 4e-4), 3)
+        voxels.insert(points, np.full(60, 4e-4), np.zeros(60), 3)
         found = voxels.match(np.array([[0.5, 0.5, 0.5], [9.0, 9.0, 9.0]]))
         assert found.index.tolist() == [0]
         assert found.owner.tolist() == [3]
@@ -258,17 +261,55 @@ def test_a_few_points_of_each_scan_are_enough_for_the_map(room, score):
 def test_a_way_that_was_mostly_without_hold_is_not_good(tmp_path):
     """A sparse lidar that leaves rest in a street: what seems to hold may be false."""
     path = tmp_path / "street"
-    write_sequence(path, simulate("street", 501, duration=9.0))
+    write_sequence(path, simulate("street", 503, duration=9.0))
     found = solve(read(path), Settings())
     assert sum(one.end - one.start for one in found.open_stretches()) > 4.5
     assert found.verdict().startswith("poor: ")
 
 
+def test_a_sparse_lidar_leaves_rest_in_a_street(tmp_path, score):
+    """What a ray strikes as the vehicle moves is a plane, which leans as the motion was wrong."""
+    path = tmp_path / "street"
+    write_sequence(path, simulate("street", 501, duration=9.0))
+    found = solve(read(path), Settings())
+    scored = score.score(str(path), found.poses, found.covariances())
+    # 9.6 m if the map has the error of its part's mean pose, and a sigma of 0.03 m
+    assert scored["ate_start_m"] < 3.0
+    assert found.sigma > 0.06
+
+
+def swept(speed: float, number: int) -> Planes:
+    """Return the plane of a wall x = 5.4 m that a ray strikes as it is thought to move along x.
+
+    The ray goes forward and to the left; the wall is put in ``speed`` times the time too far.
+    """
+    rng, t = np.random.default_rng(3), np.linspace(0.0, 1.0, 120)
+    made = np.column_stack([5.4 + speed * t, 0.2 + 0.6 * t, rng.uniform(0.1, 0.9, 120)])
+    made[:, 0] += rng.normal(0.0, 0.02, 120)
+    rays = np.column_stack([np.ones(120), 0.02 * (np.arange(120) % number), np.zeros(120)])
+    voxels = VoxelMap(Settings(voxel=1.0, levels=1))
+    voxels.insert(made, np.full(120, 4e-4), t, 0, rays)
+    return voxels.match(np.array([[5.5 + speed, 0.79, 0.5]]))
+
+
+def test_a_plane_of_one_ray_has_the_error_of_the_pose_that_put_it_in():
+    plane = swept(0.1, 1)
+    q = np.array([[5.5, 0.8, 0.5]])
+    assert abs(plane.sweep[0, 1]) == pytest.approx(1.0 / 0.6, rel=0.05)
+    # Of the last moment it is the present one; a second later the part's has its share
+    assert _share(plane, q, np.array([0.5]), 1.0)[0] < 0.05
+    assert _share(plane, q, np.array([0.5]), 2.0)[0] == pytest.approx(2.0 / 3.0, abs=0.05)
+    # Its lean is that of the velocity, which rays of three azimuths would show
+    P_vel = 0.3**2 * np.eye(3)
+    assert np.sqrt(_lean_var(plane, P_vel)[0]) == pytest.approx(0.3 / 0.6, rel=0.1)
+    assert _lean_var(swept(0.0, 3), P_vel)[0] < _lean_var(swept(0.0, 1), P_vel)[0]
+
+
 def test_what_is_far_or_of_a_gone_anchor_is_forgotten():
     voxels = VoxelMap(Settings())
     points = np.random.default_rng(2).uniform(0.0, 20.0, (500, 3))
-    voxels.insert(points[:250], np.full(250, 4e-4), 0)
-    voxels.insert(points[250:], np.full(250, 4e-4), 1)
+    voxels.insert(points[:250], np.full(250, 4e-4), np.zeros(250), 0)
+    voxels.insert(points[250:], np.full(250, 4e-4), np.zeros(250), 1)
     voxels.forget_owner(0)
     assert voxels.owners() == {1}
     voxels.forget_far(np.zeros(3), 5.0)

@@ -16,7 +16,9 @@ def test_a_mounting_that_is_held_is_considered_as_its_gain_of_zero_says(axes):
     B = 1e-2 * rng.standard_normal((size, size))
     B[EXCESS] = 0.0
     P = B @ B.T
-    H = rng.standard_normal((200, columns + POSE))
+    # Planes have a share of the anchor's error
+    share, scan = rng.uniform(0.0, 1.0, (200, 1)), rng.standard_normal((200, POSE))
+    H = np.hstack([rng.standard_normal((200, columns)), share * scan, scan])
     z, R = rng.standard_normal(200), 0.3
     open_w = np.eye(3)[:, :axes]
     match = Match(200, open_w, np.ones(3), np.eye(3), np.ones(3), 1.0)
@@ -31,10 +33,10 @@ def test_a_mounting_that_is_held_is_considered_as_its_gain_of_zero_says(axes):
     )
     found = correct(State(), P, lambda *_: sums, [anchor], 1, is_mounting_held=True)
 
-    # Rows in all error states; those of the anchor are minus the scan's as a whole about the body
+    # Rows in all error states; those of the anchor are minus their share of the scan's as a whole
     rows = np.zeros((200, size))
     rows[:, SEEN_WITH_MOUNTING] = H[:, :columns]
-    rows[:, first(0) : first(1)] = -H[:, columns:]
+    rows[:, first(0) : first(1)] = -share * scan
     gain = P @ rows.T @ np.linalg.inv(rows @ P @ rows.T + R * np.eye(200))
     gain[CALIBRATION] = gain[N:] = 0.0
     closed = np.eye(3) - open_w @ open_w.T
