@@ -34,7 +34,7 @@ FIELD_N = np.array([0.2, 0.01, 0.43])
 
 
 def settings() -> Parameters:
-    return as_parameters(parameters(FilterSettings(), "unknown"))
+    return as_parameters(parameters(FilterSettings(weigh_faults="off"), "unknown"))
 
 
 def flown(mode: Mode = Mode.NAVIGATE, azimuth: float = Azimuth.ANTENNA) -> State:

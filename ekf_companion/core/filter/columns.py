@@ -30,6 +30,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_HEADING,
     E_POS,
     E_VEL,
+    FAULT_ALIGNMENT,
     FAULT_BARO_RAMP,
     FAULT_BARO_STEP,
     N,
@@ -113,12 +114,29 @@ def follow(x: State, b: Bank) -> None:
     if b.has_moved != 0:
         for c in range(COMPONENTS):
             follow_component(b, c, with_component(b, c))
+        i = alignment(b)
+        if i >= 0:
+            for e in range(E_VEL, E_POS + 3, 3):
+                b.U[0][e][i] += b.Phi[e + 1][E_ATT + 2]
+                b.U[0][e + 1][i] -= b.Phi[e][E_ATT + 2]
     for e in range(N):
         if x.redrawn[e] != b.redrawn[e]:
             b.redrawn[e] = x.redrawn[e]
             draw_anew(x, b, e)
     if b.has_moved != 0:
         stand(b)
+
+
+def alignment(b: Bank) -> int:
+    """Return the place of the hypothesis that our yaw is off by any angle; -1: there is none.
+
+    Under it what we have gained of velocity and position is turned by that: its columns are this,
+    and this turned by a quarter. So are the corrections of our tilt.
+    """
+    for i in range(b.triples, b.pairs):
+        if b.instance[i].kind == FAULT_ALIGNMENT:
+            return i
+    return -1
 
 
 def draw_anew(x: State, b: Bank, e: int) -> None:
@@ -183,6 +201,10 @@ def look_ahead(b: Bank, i: int, c: int, out: Vector) -> None:
             for j in range(MOVING):
                 if j != e:
                     out[e] += b.Phi[e][j] * b.U[c][j][i]
+    if b.has_moved != 0 and c == 0 and b.instance[i].kind == FAULT_ALIGNMENT:
+        for e in range(E_VEL, E_POS + 3, 3):
+            out[e] += b.Phi[e + 1][E_ATT + 2]
+            out[e + 1] -= b.Phi[e][E_ATT + 2]
 
 
 def observe(b: Bank, o: Observation, n: int) -> None:
@@ -227,6 +249,12 @@ def correct(x: State, o: Observation) -> None:
             for r in range(o.rows):
                 add_row(b.U[c][e], -o.PHt[r][e], b.T[c][r], n)
         turn_rows(b, c, o.dx, n)
+    i = alignment(b)
+    if i >= 0:
+        b.U[0][E_ATT][i] -= o.dx[E_ATT]
+        b.U[0][E_ATT + 1][i] -= o.dx[E_ATT + 1]
+        b.U[1][E_ATT][i] += o.dx[E_ATT + 1]
+        b.U[1][E_ATT + 1][i] -= o.dx[E_ATT]
     for r in range(o.rows if is_led else 0):
         for e in range(states):
             b.led[b.judged][r] -= o.H[r][e] * o.dx[e]

@@ -145,6 +145,8 @@ class Bank:
     """Mean square of the errors of an aid that is wrong in no shape, as learnt: level, vertical."""
     nothing: Real
     """Posterior probability that nothing is wrong."""
+    astray: Real
+    """The same of our yaw, that it is off by any angle."""
     since: Annotated[Vector, SOURCES]
     """Since when a source is beyond doubt, ns."""
     declared: Annotated[Vector, FAULTS]

@@ -216,13 +216,15 @@ class Fault(IntEnum):
     """It was, and our velocity still is."""
     RECOVERY_HEADING = 46
     """A heading is right that was off from the first one on; or what was declared of it fades."""
-    ACCEL_LOUD = 47
+    ALIGNMENT = 47
+    """Our yaw is off since the first heading, by any angle: its cosine less one, and its sine."""
+    ACCEL_LOUD = 48
     """What an accelerometer whose noise has leapt has done to the velocity."""
-    GYRO_LOUD = 48
+    GYRO_LOUD = 49
     """What such a gyro has done to the attitude."""
-    ACCEL_NOISE = 49
+    ACCEL_NOISE = 50
     """No fault: what the accelerometer's noise does in a second, by which it is learnt."""
-    GYRO_NOISE = 50
+    GYRO_NOISE = 51
 
 
 class Source(IntEnum):

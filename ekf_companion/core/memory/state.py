@@ -149,6 +149,12 @@ class FieldNoise:
     """Mean innovation of the block before, rad."""
     has_last: Real
     """There is one."""
+    z: Real
+    """Innovation of the last azimuth, rad."""
+    white: Real
+    """Share that azimuths differ by from one to the next, with ``weigh_faults: act``."""
+    looks: Real
+    """How many of these that is from; 0: it is not learnt so."""
 
 
 @struct

@@ -13,7 +13,13 @@ from cython.cimports.ekf_companion.core.aids import delay, gnss, lag, rest
 from cython.cimports.ekf_companion.core.filter.observation import clear
 from cython.cimports.ekf_companion.core.filter.update import apply_update, innovate
 from cython.cimports.ekf_companion.core.memory.bank import Bank
-from cython.cimports.ekf_companion.core.memory.constants import NAN, NEVER, SAME_CAUSE, THREE_SIGMA2
+from cython.cimports.ekf_companion.core.memory.constants import (
+    EVEN,
+    NAN,
+    NEVER,
+    SAME_CAUSE,
+    THREE_SIGMA2,
+)
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_HEIGHT,
@@ -182,10 +188,12 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             nis = DOUBTED_NIS * x.doubt
         if x.is_denied[AID_VELOCITY] != 0.0:
             nis = NAN
-        if k.weighs_faults == WEIGH_ACT and (
-            hypotheses.explains(address(o.bank[0])) or delay_search.may_have_leapt(x)
-        ):
-            nis = 0.0  # it is a fault, or may be one, and not our attitude
+        if k.weighs_faults == WEIGH_ACT:
+            if o.bank[0].astray > EVEN:
+                nis = NAN  # our yaw is off, however well another one explains this velocity
+                yaw_reset.take_angle(x, address(o.bank[0]))
+            elif hypotheses.explains(address(o.bank[0])) or delay_search.may_have_leapt(x):
+                nis = 0.0  # it is a fault, or may be one, and not our attitude
         if yaw_reset.is_needed(x, nis, x.fix_dt, sqrt(fix.stated_var[2])):
             gate.begin_reset(x, RESET_MOTION)
             start_from_yaw_bank(x, k, w)

@@ -160,6 +160,8 @@ def fuse_azimuth(
         count_heading(x, VERDICT_SUPERSEDED, source)
         return
     learns = cython.declare(cython.bint, r.noise > 0.0 and k.learn_noise != 0.0)
+    if learns and k.weighs_faults == WEIGH_ACT:
+        magnetic_field.compare(x, o)
     nis = magnetic_field.innovate_azimuth(x, o) if learns else innovate(x, o)
     if x.has_yaw == 0.0:
         yaw_reset.reset_yaw(x, o)

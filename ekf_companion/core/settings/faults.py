@@ -87,6 +87,9 @@ FAULTS = {
     # the same of a heading: of one that was off from the first one on, as an autopilot's before it
     # aligns in flight, and of one that was declared; the logarithm of the rate at which that fades
     Fault.RECOVERY_HEADING: Prior(Source.HEADING, 2, 0.3, 3.0, 60.0, STEP, LEVEL),
+    # our yaw is off by any angle since the first heading, 1: of a circle about "by half a turn" in
+    # these two; one start of a thousand, by a compass that is mounted the wrong way or beside iron
+    Fault.ALIGNMENT: Prior(Source.HEADING, 2, 0.7071, 0.7071, 0.0, STEP, LEVEL),
     # what has no shape: a receiver among houses, a port in the wind; it has no size. As rare as an
     # offset of a velocity: of 32 flights of erratic and jumping receivers (seeds 113, 115 to 117 of
     # make truth) 12 s are OK and wrong, at a third of the rate 13 s, at three times 26 s

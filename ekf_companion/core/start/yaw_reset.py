@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core.filter import columns
 from cython.cimports.ekf_companion.core.filter.rotation import rotate, wrap
 from cython.cimports.ekf_companion.core.filter.slow_error import reset_variance
 from cython.cimports.ekf_companion.core.filter.update import apply_yaw_update, innovate
+from cython.cimports.ekf_companion.core.memory.bank import Bank
+from cython.cimports.ekf_companion.core.memory.constants import THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import AID_HEADING, E_ATT
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.libc.math import atan2, fabs
+from cython.cimports.libc.math import atan2, fabs, sqrt
 
 ENOUGH = cython.declare(cython.double, 5.0)
 """Consecutive fixes with a narrow heading after which it is used."""
@@ -72,6 +75,28 @@ def yaw_error(x: State) -> float:
 def agrees(x: State) -> bool:
     """Return whether the bank has a heading that agrees with the filter's."""
     return is_ready(x) and fabs(yaw_error(x)) <= 3.0 * x.yaw_bank.yaw_std
+
+
+def take_angle(x: State, b: Bank) -> None:
+    """Take the angle that our yaw is off by for the bank's, where that is not sure of its own yet.
+
+    As far as they agree. How far it is from a turn shows how wrong its model is, too.
+    """
+    i = columns.alignment(b)
+    bank = address(x.yaw_bank)
+    if i < 0 or is_ready(x) or bank.is_running == 0.0:
+        return
+    h = address(b.instance[i])
+    c = 1.0 + h.b[0]
+    s = h.b[1]
+    square = c * c + s * s
+    var = (s * s * h.M[0][0] - 2.0 * s * c * h.M[0][1] + c * c * h.M[1][1]) / (square * square)
+    var += (1.0 - sqrt(square)) * (1.0 - sqrt(square))
+    off = wrap(atan2(s, c) - yaw_error(x))
+    if off * off < THREE_SIGMA2 * (var + bank.yaw_std * bank.yaw_std):
+        bank.yaw = wrap(bank.yaw + off)
+        bank.yaw_std = sqrt(var)
+        bank.good = ENOUGH
 
 
 def is_needed(x: State, nis: float, dt: float, std: float) -> bool:

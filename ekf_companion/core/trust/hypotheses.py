@@ -30,6 +30,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_POS,
     E_VEL,
     FAULT_ACCEL_NOISE,
+    FAULT_ALIGNMENT,
     FAULT_GYRO_NOISE,
     FAULT_RECOVERY,
     FAULT_STATE_WILD,
@@ -94,6 +95,7 @@ def begin(x: State, k: Parameters, b: Bank) -> None:
     b.fix_t = NEVER
     b.proven_t = NEVER
     b.nothing = 1.0
+    b.astray = 0.0
     for source in range(SOURCES):
         b.since[source] = NEVER
     for aid in range(AIDS):
@@ -153,10 +155,13 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
         b.work[g] += o.y[r] * o.y[r]
     find_wrong(x, k, b, aid)
     share = 1.0 / learn_common(x, b, o, aid, b.work[0] + b.work[1])
-    b.work[0] = cost(b.work[0], b.rows[0])
-    b.work[1] = cost(b.work[1], b.rows[1])
+    known = 0.0
+    if aid == AID_HEADING and x.azimuth >= AZIMUTH_MAGNETIC:
+        known = x.field_noise.looks
+    b.work[0] = cost(b.work[0], b.rows[0], known)
+    b.work[1] = cost(b.work[1], b.rows[1], known)
     for i in range(b.n):
-        weigh_reading(x, k, b, i, o, aid, b.work, share)
+        weigh_reading(x, k, b, i, o, aid, b.work, share, known)
     if aid < AID_VELOCITY:
         follow_led(k, b, o, aid)
     lost.keep(b, o, aid)
@@ -244,8 +249,13 @@ def learn_erratic(x: State, k: Parameters, b: Bank, o: Observation, aid: int) ->
             b.erratic_var[aid][g] = var
 
 
-def cost(nis: float, rows: float) -> float:
-    """Return what a NIS costs, in its own unit, where the reading may be an outlier instead."""
+def cost(nis: float, rows: float, known: float) -> float:
+    """Return what a NIS costs, in its own unit, where the reading may be an outlier instead.
+
+    A noise that is known from some readings only may be larger: then it is that of Student's t.
+    """
+    if known > 0.0:
+        nis = (known + rows) * log(1.0 + nis / known)
     most = OUTLIER + OUTLIER_ROW * rows
     return nis if nis < most else most
 
@@ -259,6 +269,7 @@ def weigh_reading(
     aid: int,
     nothing: Vector,
     share: float,
+    known: float,
 ) -> None:
     """Add what a reading says to the evidence of an instance, and learn its b from it.
 
@@ -270,7 +281,7 @@ def weigh_reading(
         weigh_erratic(x, k, b, h, o, aid, nothing, share)
         return
     if h.kind == FAULT_STATE_WILD:
-        weigh_lost(x, k, b, h, o, aid, nothing, share)
+        weigh_lost(x, k, b, h, o, aid, nothing, share, known)
         return
     to = address(b.trial)
     rows = h.rows
@@ -303,7 +314,7 @@ def weigh_reading(
     gain = -log(to.spread)
     for g in range(2):
         if b.rows[g] > 0.0 and (shows == SHOWS_ALL or g == (1 if shows == SHOWS_VERTICAL else 0)):
-            gain += nothing[g] - cost(to.nis[g], b.rows[g])
+            gain += nothing[g] - cost(to.nis[g], b.rows[g], known)
     h.evidence += 0.5 * share * gain
     if nis > GATE * own:
         try_reading(b, h, o, shows, nis / (GATE * own))
@@ -360,11 +371,12 @@ def weigh_lost(
     aid: int,
     nothing: Vector,
     share: float,
+    known: float,
 ) -> None:
     """Add what a reading says to the evidence that our own state is wrong in no shape."""
     for g in range(2):
         if b.rows[g] > 0.0:
-            wide = cost(lost.find_nis(x, k, b, o, aid, g), b.rows[g])
+            wide = cost(lost.find_nis(x, k, b, o, aid, g), b.rows[g], known)
             h.evidence += 0.5 * share * (nothing[g] - wide)
 
 
@@ -576,6 +588,7 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
     # a pair of one level and one vertical fault is as probable as the product of their odds
     total = whole + (none + level) * (1.0 + vertical / none)
     b.nothing = none / total
+    b.astray = 0.0
     for i in range(b.n):
         h = address(b.instance[i])
         h.p /= total
@@ -583,3 +596,5 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
             h.p *= 1.0 + vertical / none
         elif k.fault[h.kind].shows == SHOWS_VERTICAL:
             h.p *= 1.0 + level / none
+        if h.kind == FAULT_ALIGNMENT:
+            b.astray = h.p

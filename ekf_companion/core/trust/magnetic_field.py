@@ -9,7 +9,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.rotation import to_dcm
 from cython.cimports.ekf_companion.core.filter.update import innovate
-from cython.cimports.ekf_companion.core.memory.constants import NEVER
+from cython.cimports.ekf_companion.core.memory.constants import NEVER, THREE_SIGMA2
 from cython.cimports.ekf_companion.core.memory.enums import MODE_ATTITUDE, N
 from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -32,6 +32,10 @@ FIRST_MEMORY = cython.declare(cython.double, 3.0)
 """Blocks that what is configured counts for."""
 LARGEST_MEMORY = cython.declare(cython.double, 25.0)
 """Blocks over which the noise is learnt."""
+LARGEST_SHARE = cython.declare(cython.double, 9.0)
+"""Largest share: noise is understated at most three times."""
+WHITE_MEMORY = cython.declare(cython.double, 500.0)
+"""Azimuths over which it is learnt how much they differ by: as long as those blocks at 10 Hz."""
 LEAST_SHARE = cython.declare(cython.double, 0.05)
 """Least share of the configured variance, for the best of magnetometers."""
 
@@ -88,7 +92,7 @@ def innovate_azimuth(x: State, o: Observation) -> float:
     """
     learnt = address(x.field_noise)
     stated = o.R[0][0]
-    o.R[0][0] = learnt.share * stated
+    o.R[0][0] = (learnt.share if learnt.share > learnt.white else learnt.white) * stated
     nis = innovate(x, o)
     if not x.t - learnt.t < NEXT:
         begin_block(x)
@@ -116,6 +120,23 @@ def innovate_azimuth(x: State, o: Observation) -> float:
     return nis
 
 
+def compare(x: State, o: Observation) -> None:
+    """Learn how much an azimuth differs from the last one: no less is the magnetometer's noise.
+
+    That is known in a second, before anything that it makes can be taken for a fault.
+    """
+    learnt = address(x.field_noise)
+    change = o.z[0] - learnt.z
+    seen = 0.5 * change * change / o.R[0][0]
+    if x.t - learnt.t < NEXT:
+        if learnt.looks == 0.0:
+            learnt.white = 1.0
+        learnt.looks += 1.0 if learnt.looks < WHITE_MEMORY else 0.0
+        seen = seen if seen < THREE_SIGMA2 * LARGEST_SHARE else THREE_SIGMA2 * LARGEST_SHARE
+        learnt.white += (seen - learnt.white) / (FIRST_MEMORY + learnt.looks)
+    learnt.z = o.z[0]
+
+
 def begin_block(x: State) -> None:
     """Begin a new block of azimuths of the field."""
     learnt = address(x.field_noise)
@@ -128,5 +149,7 @@ def begin_block(x: State) -> None:
 def forget_noise(x: State) -> None:
     """Take the magnetometer's noise for what is configured."""
     x.field_noise.share = 1.0
+    x.field_noise.white = 0.0
+    x.field_noise.looks = 0.0
     x.field_noise.memory = FIRST_MEMORY
     x.field_noise.t = NEVER

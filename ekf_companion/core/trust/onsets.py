@@ -27,6 +27,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_ACCEL_LOUD,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
+    FAULT_ALIGNMENT,
     FAULT_BARO_STEP,
     FAULT_BARO_WILD,
     FAULT_BODY_FIELD,
@@ -79,8 +80,12 @@ LONGER = cython.declare(cython.double, 3.5)
 """How much longer each of the others is: 5, 17, 61 s."""
 EVER = cython.declare(cython.double, 0.004)
 """Odds that a heading is off from the first one on."""
+ANY_ANGLE = cython.declare(cython.double, 0.001)
+"""Odds that it is off by any angle, and our yaw with it."""
 FROM_FIRST = cython.declare(cython.int, -1)
 """Level of that instance: it is told apart from all onsets, and goes when it is excluded."""
+ALIGNED = cython.declare(cython.int, -2)
+"""The same of our own yaw."""
 
 
 def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) -> None:
@@ -104,6 +109,7 @@ def begin_instances(x: State, k: Parameters, b: Bank, o: Observation, aid: int) 
         if b.begun_t[aid] <= NEVER:
             for kind in range(first, last + 1):
                 begin_heading(x, k, b, o, kind)
+            begin_heading(x, k, b, o, FAULT_ALIGNMENT)
         begin_kinds(x, k, b, aid, first, last)
         if last == FAULT_HEADING_STEP:
             begin_heading_end(x, k, b)
@@ -247,7 +253,9 @@ def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -
     h = address(b.instance[i])
     if kind == FAULT_HEADING_STEP:
         h.level = FROM_FIRST
-    h.log_prior = log(EVER)
+    elif kind == FAULT_ALIGNMENT:
+        h.level = ALIGNED
+    h.log_prior = log(ANY_ANGLE if kind == FAULT_ALIGNMENT else EVER)
     shape.find_direct(x, b, h, o, AID_HEADING)
     for c in range(h.rows):
         b.U[c][E_ATT + 2][i] = -b.trial.D[0][c]
@@ -434,7 +442,7 @@ def thin(x: State, k: Parameters, b: Bank) -> None:
             is_over
             or is_absorbed
             or (age > SETTLED and h.evidence < EXCLUDED)
-            or (age > OLDEST and h.evidence < 0.0 and h.level != FROM_FIRST)
+            or (age > OLDEST and h.evidence < 0.0 and h.level >= 0)
         ):
             drop(b, i)
         i -= 1

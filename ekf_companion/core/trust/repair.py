@@ -37,6 +37,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_HEADING,
     E_IRON,
     FAULT_ACCEL_NOISE,
+    FAULT_ALIGNMENT,
     FAULT_BARO_RAMP,
     FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
@@ -85,7 +86,7 @@ from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search, lost, score, shape
 from cython.cimports.ekf_companion.core.trust.onsets import begin_instance, drop
-from cython.cimports.libc.math import exp, log
+from cython.cimports.libc.math import atan2, exp, log
 
 SURE = cython.declare(cython.double, 0.99)
 """Probability of a source beyond which it is beyond doubt."""
@@ -255,6 +256,8 @@ def is_beyond_doubting(x: State, k: Parameters, b: Bank, source: int, i: int) ->
         return b.instance[i].kind == FAULT_POSITION_RAMP and square > usual
     if shape.is_wild(b.instance[i].kind):
         return False
+    if b.instance[i].kind == FAULT_ALIGNMENT:  # the yaw bank resets it, once that knows north
+        return True
     if source == SOURCE_VELOCITY:
         return b.drift[0] != 0.0 or b.drift[1] != 0.0
     return source == SOURCE_DRAG
@@ -695,10 +698,17 @@ def mix(x: State, k: Parameters, b: Bank) -> None:
             columns.look_ahead(b, n, c, b.ahead[c])
             for i in range(9):
                 b.work[i] += b.ahead[c][i] * h.b[c]
+        if h.kind == FAULT_ALIGNMENT:
+            b.work[2] += atan2(h.b[1], 1.0 + h.b[0]) - h.b[1]
         source = k.fault[h.kind].source
         moves = cython.declare(
             cython.bint,
-            (source != SOURCE_DRAG and source < SOURCE_SETTLING and is_of_its_size(k, h))
+            (
+                source != SOURCE_DRAG
+                and source < SOURCE_SETTLING
+                and h.kind != FAULT_ALIGNMENT
+                and is_of_its_size(k, h)
+            )
             or shape.is_wild(h.kind),
         )
         for i in range(9):

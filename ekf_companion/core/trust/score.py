@@ -48,6 +48,8 @@ def begin(x: State, b: Bank) -> None:
 
 def add_to_window(b: Bank, first: int, o: Observation) -> None:
     """Add a reading to the window by which the inertial noise is learnt."""
+    if b.astray > EVEN:  # it contradicts our yaw
+        return
     for r in range(o.rows):
         if b.wrong[1 if b.group[r] != 0.0 else 0] > EVEN:  # what is wrong says nothing of ours
             continue

@@ -29,6 +29,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_ACCEL_LOUD,
     FAULT_ACCEL_NOISE,
     FAULT_ACCEL_STEP,
+    FAULT_ALIGNMENT,
     FAULT_BARO_RAMP,
     FAULT_BARO_SCALE,
     FAULT_BARO_SPEED,
@@ -241,6 +242,8 @@ def begin(x: State, k: Parameters, b: Bank, i: int) -> None:
         h.b[0] = h.tau
         h.b[1] = 1.0
         h.M[1][1] = 0.0
+    elif kind == FAULT_ALIGNMENT:  # all angles are as likely
+        h.b[0] = -1.0
     elif kind == FAULT_RECOVERY_HEADING:
         h.M[1][1] = SETTLING_VAR
     elif is_end(kind):
@@ -442,6 +445,9 @@ def add_shape(
     elif kind == FAULT_HEADING_STEP:
         if aid == AID_HEADING and x.azimuth < AZIMUTH_MAGNETIC:
             T[0][0] += 1.0
+    elif kind == FAULT_ALIGNMENT:
+        if aid == AID_HEADING:
+            T[0][1] -= 1.0
     elif kind == FAULT_FIELD:
         if aid == AID_HEADING:
             for c in range(2):
