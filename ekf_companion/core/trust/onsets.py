@@ -259,6 +259,7 @@ def begin_heading(x: State, k: Parameters, b: Bank, o: Observation, kind: int) -
     shape.find_direct(x, b, h, o, AID_HEADING)
     for c in range(h.rows):
         b.U[c][E_ATT + 2][i] = -b.trial.D[0][c]
+    shape.find_copies(x, b, i)
 
 
 def begin_heading_end(x: State, k: Parameters, b: Bank) -> None:
@@ -310,7 +311,9 @@ def begin_settling(x: State, k: Parameters, b: Bank) -> None:
     tau = SHORTEST_SETTLING
     for time in range(3):
         for kind in range(FAULT_SETTLE, FAULT_SETTLE_HEIGHT + 1):
-            h = address(b.instance[begin_instance(x, k, b, kind, 0.0)])
+            i = begin_instance(x, k, b, kind, 0.0)
+            shape.find_copies(x, b, i)
+            h = address(b.instance[i])
             h.level = 1 + time
             h.tau = tau
             h.t0 = x.t - x.fix_dt * 1e9

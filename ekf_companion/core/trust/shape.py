@@ -19,7 +19,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AZIMUTH_MAGNETIC,
     E_ATT,
     E_BA,
-    E_BARO,
     E_BG,
     E_DELAY,
     E_GNSS_VEL,
@@ -81,6 +80,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     SOURCE_HEIGHT,
     SOURCE_POSITION,
     SOURCE_VELOCITY,
+    N,
 )
 from cython.cimports.ekf_companion.core.memory.overlay import Dcm
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
@@ -231,9 +231,8 @@ def begin(x: State, k: Parameters, b: Bank, i: int) -> None:
     elif kind == FAULT_SETTLE:  # ours began at the first fix
         b.U[0][E_POS][i] = -1.0
         b.U[1][E_POS + 1][i] = -1.0
-    elif kind == FAULT_SETTLE_HEIGHT:  # and by it the barometer's offset
+    elif kind == FAULT_SETTLE_HEIGHT:
         b.U[0][E_POS + 2][i] = -1.0
-        b.U[0][E_BARO][i] = -1.0
     elif is_wild(kind):  # what its readings have done is known
         h.b[0] = 1.0
         h.M[0][0] = 0.0
@@ -256,6 +255,20 @@ def begin(x: State, k: Parameters, b: Bank, i: int) -> None:
         for axis in range(first_axis(kind), last_axis(kind) + 1):
             if axis < 3:
                 b.U[0][E_GNSS_VEL + axis][i] = -x.gnss_vel_offset[axis]
+
+
+def find_copies(x: State, b: Bank, i: int) -> None:
+    """Let the slow errors that were found by ours have of a fault what ours has.
+
+    Of one that has been since before: the height of the ground below a height that is off is as far
+    off, and so is the barometer's offset. As far as the two still go together.
+    """
+    for e in range(N):
+        source = cython.cast(cython.Py_ssize_t, x.copied[e])
+        if x.redrawn[e] > 0.0 and source >= 0 and x.P[source][source] > 0.0:
+            share = x.P[e][source] / x.P[source][source]
+            for c in range(b.instance[i].rows):
+                b.U[c][e][i] = share * b.U[c][source][i]
 
 
 def is_absorbed(x: State, b: Bank, i: int) -> bool:
