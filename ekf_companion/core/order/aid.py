@@ -6,15 +6,22 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.filter.slow_error import add_variance, carry
 from cython.cimports.ekf_companion.core.filter.update import innovate
-from cython.cimports.ekf_companion.core.memory.constants import WITHOUT_FIX
+from cython.cimports.ekf_companion.core.memory.constants import EVEN, FADES, WITHOUT_FIX
 from cython.cimports.ekf_companion.core.memory.enums import (
     AID_BARO,
     AID_POSITION,
     AID_VELOCITY,
+    AIDS,
     E_POS,
     E_VEL,
     MODE_ATTITUDE,
     MODE_LEVEL,
+    SHOWS_ALL,
+    SOURCE_ACCEL,
+    SOURCE_DRAG,
+    SOURCE_GYRO,
+    SOURCE_STATE,
+    SOURCE_VELOCITY,
     VERDICT_DENIED,
     VERDICT_FUSED,
     VERDICT_GATED,
@@ -119,7 +126,8 @@ def begin(x: State, k: Parameters, w: Scratch, aid: int, row: Vector) -> None:
     x.has_aid[aid] = 0.0
     if is_stuck(x, k, aid) or is_outvoted(x, k, aid) or not dispatch.begin(x, k, aid, row):
         if not is_anew:  # else it has just been refused
-            gate.count_verdict(x, aid, VERDICT_SUPERSEDED)
+            is_refused = cython.declare(cython.bint, has_yielded(x, k, aid))
+            gate.count_verdict(x, aid, VERDICT_GATED if is_refused else VERDICT_SUPERSEDED)
         return
     carry(x, k, aid)
     if k.aid[aid].is_tried != 0.0:
@@ -194,11 +202,65 @@ def is_persistent(x: State, k: Parameters, o: Observation, aid: int, nis: float)
     return patience > 0.0 and x.doubtful[aid] > patience
 
 
+def has_yielded(x: State, k: Parameters, aid: int) -> bool:
+    """Return whether an aid has yielded to the receiver just now: what fails does so again."""
+    is_left = cython.declare(cython.bint, k.aid[aid].yields != 0.0 and x.has_aid[aid] == 0.0)
+    return k.weighs_faults == WEIGH_ACT and is_left and x.t - x.refused_t[aid] < FADES * 1e9
+
+
 def is_outvoted(x: State, k: Parameters, aid: int) -> bool:
     """Return whether the receiver's velocity, which comes, contradicts an aid's."""
     if k.aid[aid].yields == 0.0 or x.t - x.fix_t > WITHOUT_FIX * 1e9:
         return False
+    if has_yielded(x, k, aid):
+        return True
     return x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY] or x.doubt > DOUBTED
+
+
+def yield_to_receiver(x: State, k: Parameters, o: Observation, nis: float) -> float:
+    """Leave the aids that yield where the receiver's velocity contradicts what they have led to.
+
+    That is where it, or what ours is integrated from, is more likely wrong than right: such an aid
+    has no hypothesis of its own, and what it does looks like theirs. So who was blamed is
+    forgotten, and ours is as uncertain as the velocity differs, and that over the time since.
+
+    Returns:
+        The NIS of the velocity then.
+    """
+    b = address(o.bank[0])
+    is_led = cython.declare(cython.bint, False)
+    for aid in range(AIDS):
+        is_led = is_led or (k.aid[aid].yields != 0.0 and x.has_aid[aid] != 0.0)
+    if not is_led:
+        return nis
+    p = 0.0
+    best = -1
+    for i in range(b.n):
+        source = k.fault[b.instance[i].kind].source
+        is_motion = cython.declare(
+            cython.bint,
+            source == SOURCE_VELOCITY
+            or source == SOURCE_DRAG
+            or source == SOURCE_ACCEL
+            or source == SOURCE_GYRO
+            or source == SOURCE_STATE,
+        )
+        if is_motion:
+            p += b.instance[i].p
+            if best < 0 or b.instance[i].p > b.instance[best].p:
+                best = i
+    if p <= EVEN:
+        return nis
+    since = (x.t - b.instance[best].t0) * 1e-9
+    for r in range(o.rows):
+        add_variance(x, E_VEL + r, o.z[r] * o.z[r])
+        add_variance(x, E_POS + r, o.z[r] * o.z[r] * since * since)
+    for aid in range(AIDS):
+        if k.aid[aid].yields != 0.0 and x.has_aid[aid] != 0.0:
+            x.has_aid[aid] = 0.0
+            x.refused_t[aid] = x.t
+    repair.drop_others(k, b, SHOWS_ALL, -1)
+    return innovate(x, o)
 
 
 def is_stuck(x: State, k: Parameters, aid: int) -> bool:

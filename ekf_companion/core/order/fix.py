@@ -46,6 +46,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Fix, GnssRow, Observation, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.order import receiver
+from cython.cimports.ekf_companion.core.order.aid import yield_to_receiver
 from cython.cimports.ekf_companion.core.start import align, yaw_bank, yaw_reset
 from cython.cimports.ekf_companion.core.start.navigation import (
     forget_vel_offset,
@@ -297,6 +298,8 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     if k.weighs_faults == WEIGH_ACT:
         shape.take_off(x, o, aid)
         nis = innovate(x, o)
+        if aid == AID_VELOCITY:
+            nis = yield_to_receiver(x, k, o, nis)
         if nis <= k.gate[o.rows - 1]:
             learn_white_share(x, o, aid, fix.stated_var[aid])
         gate.score(x, o, nis, k.gate[o.rows - 1])
