@@ -37,7 +37,7 @@ ARM = np.array([0.4, -0.3, -0.2])
 
 
 def settings() -> Parameters:
-    k = as_parameters(parameters(FilterSettings(), "unknown"))
+    k = as_parameters(parameters(FilterSettings(weigh_faults="off"), "unknown"))
     k.lever_arm_b[:] = ARM
     return k
 
