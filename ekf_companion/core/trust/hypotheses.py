@@ -34,6 +34,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_GYRO_NOISE,
     FAULT_RECOVERY,
     FAULT_STATE_WILD,
+    FAULT_VELOCITY_SCALE,
     MODE_NAVIGATE,
     SHOWS_ALL,
     SHOWS_LEVEL,
@@ -48,7 +49,7 @@ from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.trust import delay_search, lost, onsets, score, shape
-from cython.cimports.libc.math import exp, fabs, log
+from cython.cimports.libc.math import exp, fabs, log, sqrt
 
 GATE = cython.declare(cython.double, 9.0)
 """NIS a row beyond which a reading teaches an instance less, as if its noise had been larger."""
@@ -560,6 +561,22 @@ def again(x: State, k: Parameters, b: Bank, h: Instance) -> float:
     return 1.0 + AGAIN * exp(1e-9 * (failed_t - h.t0) / FADES if h.t0 > failed_t else 0.0)
 
 
+def off_circle(k: Parameters, h: Instance) -> float:
+    """Return how much less likely a cosine and a sine are for not being those of one angle.
+
+    Nor is a velocity that is too short, by what usual ones are, one that is turned.
+    """
+    c = 1.0 + h.b[0]
+    s = h.b[1]
+    square = c * c + s * s
+    std = k.fault[FAULT_VELOCITY_SCALE].std
+    var = h.M[0][0]
+    if square > var:
+        var = (c * c * h.M[0][0] + 2.0 * c * s * h.M[0][1] + s * s * h.M[1][1]) / square
+    off = 1.0 - sqrt(square)
+    return 0.5 * off * off / (var + std * std)
+
+
 def find_posterior(x: State, k: Parameters, b: Bank) -> None:
     """Find how probable each instance is; what is level and what is vertical may fail apart."""
     most = 0.0
@@ -572,6 +589,8 @@ def find_posterior(x: State, k: Parameters, b: Bank) -> None:
         often = again(x, k, b, h)
         if often > 1.0:
             h.p += log(often)
+        if h.kind == FAULT_ALIGNMENT:
+            h.p -= off_circle(k, h)
         most = h.p if h.p > most else most
     # all by the largest, so that no exponential is too large
     for i in range(b.n):
