@@ -58,7 +58,7 @@ WORDS: Mapping[Fault, tuple[str, float]] = {
     Fault.FADE_HEIGHT: ("GNSS height settles again, by {:.0f} % of its error", 100.0),
     Fault.RECOVERY_HEADING: ("heading right that was {:.1f} deg off", _DEG),
     Fault.STATE_WILD: ("our own attitude and velocity lost", 1.0),
-    Fault.ALIGNMENT: ("our yaw off since the first heading", 1.0),
+    Fault.ALIGNMENT: ("our own yaw lost", 1.0),
     Fault.POSITION_WILD: ("GNSS position erratic", 1.0),
     Fault.RECEIVER_WILD: ("GNSS position and velocity erratic", 1.0),
     Fault.VELOCITY_WILD: ("GNSS velocity erratic", 1.0),
@@ -117,8 +117,8 @@ SIZES = {
 """Their other components are no part of the size: what a delay is about, how fast it fades, the
 velocity beside the way."""
 
-OF_NO_SIZE = tuple(kind for kind in Fault if kind.name.endswith("_WILD"))
-"""What is wrong in no shape has none."""
+OF_NO_SIZE = (Fault.ALIGNMENT, *(kind for kind in Fault if kind.name.endswith("_WILD")))
+"""What is wrong in no shape has none, nor has a yaw that may be any."""
 
 
 class FoundFault(NamedTuple):

@@ -374,7 +374,12 @@ def weigh_lost(
     share: float,
     known: float,
 ) -> None:
-    """Add what a reading says to the evidence that our own state is wrong in no shape."""
+    """Add what a reading says to the evidence that our own state is wrong in no shape.
+
+    Nothing, where the inertial samples are noisier than configured: any state is off by that.
+    """
+    if score.is_noisy(x):
+        return
     for g in range(2):
         if b.rows[g] > 0.0:
             wide = cost(lost.find_nis(x, k, b, o, aid, g), b.rows[g], known)

@@ -82,9 +82,10 @@ EVER = cython.declare(cython.double, 0.004)
 """Odds that a heading is off from the first one on."""
 ANY_ANGLE = cython.declare(cython.double, 0.001)
 """Odds that it is off by any angle, and our yaw with it."""
-FROM_FIRST = cython.declare(cython.int, -1)
-"""Level of that instance: it is told apart from all onsets, and goes when it is excluded."""
-ALIGNED = cython.declare(cython.int, -2)
+FROM_FIRST = cython.declare(cython.int, 1000)
+"""Level of that instance, beyond any: it is told apart from all onsets, and goes when it is
+excluded. Not below zero, which would be no number in a checkpoint."""
+ALIGNED = cython.declare(cython.int, 1001)
 """The same of our own yaw."""
 
 
@@ -445,7 +446,7 @@ def thin(x: State, k: Parameters, b: Bank) -> None:
             is_over
             or is_absorbed
             or (age > SETTLED and h.evidence < EXCLUDED)
-            or (age > OLDEST and h.evidence < 0.0 and h.level >= 0)
+            or (age > OLDEST and h.evidence < 0.0 and h.level < FROM_FIRST)
         ):
             drop(b, i)
         i -= 1
