@@ -81,10 +81,10 @@ _SIZES: Mapping[Fault, tuple[str, float, int]] = {
     Fault.FIELD: ("{} mgauss off", 1000.0, 0),
     Fault.BODY_FIELD: ("{} mgauss off", 1000.0, 0),
     Fault.HEADING_STEP: ("{} deg off", _DEG, 0),
-    Fault.ALIGNMENT: ("off by any angle", 1.0, 0),
     Fault.DELAY: ("{} ms off", 1000.0, 0),
     Fault.LEVER: ("{} m off", 1.0, 0),
     **dict.fromkeys(OF_NO_SIZE, ("erratic", 1.0, 0)),
+    Fault.ALIGNMENT: ("off by any angle", 1.0, 0),
 }
 """What each kind does in words, its scale to their unit, and how often it has added up over time.
 """
