@@ -111,7 +111,10 @@ def judge(x: State, k: Parameters, w: Scratch, is_mixed: bool) -> int:
     """Return these reasons by what the mixture adds, where :func:`mix` has just written that."""
     reasons = judge_state(x, k)
     if is_mixed:
-        reasons |= judge_spread(x, k, address(w.observation.bank[0]))
+        b = address(w.observation.bank[0])
+        reasons |= judge_spread(x, k, b)
+        if repair.is_heading_found(b):
+            reasons &= ~(REASON_COMPASS_REFUSED | REASON_HEADING_REFUSED)
     return reasons
 
 
@@ -169,13 +172,13 @@ def judge_state(x: State, k: Parameters) -> int:
     for e in range(E_ATT, E_ATT + 3):
         if x.P[e][e] > VAGUE_VAR:
             reasons |= REASON_ATTITUDE
-    if not is_judged and is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
+    if is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
         # where there never was a compass, turns show the heading as well
-        is_wrong = is_refused(x, AID_HEADING)
-        if x.azimuth >= AZIMUTH_MAGNETIC:
-            reasons |= REASON_COMPASS_REFUSED if is_wrong else REASON_COMPASS_MISSING
-        else:
-            reasons |= REASON_HEADING_REFUSED if is_wrong else REASON_HEADING_MISSING
+        is_magnetic = cython.declare(cython.bint, x.azimuth >= AZIMUTH_MAGNETIC)
+        if is_refused(x, AID_HEADING):
+            reasons |= REASON_COMPASS_REFUSED if is_magnetic else REASON_HEADING_REFUSED
+        elif not is_judged or (is_magnetic and x.natural_fields == 0.0):
+            reasons |= REASON_COMPASS_MISSING if is_magnetic else REASON_HEADING_MISSING
     if is_timed_out(x, AID_HEIGHT, late + 1.0):
         is_wrong = is_refused(x, AID_HEIGHT)
         if not is_wrong:

@@ -187,6 +187,12 @@ def take_back(x: State, k: Parameters, o: Observation, i: int, p: float) -> None
     h.p = p
 
 
+def is_heading_found(b: Bank) -> cython.bint:
+    """Return whether it was found that the compass, or another heading, is wrong."""
+    compass = b.declared[FAULT_FIELD] + b.declared[FAULT_BODY_FIELD]
+    return compass + b.declared[FAULT_HEADING_STEP] > 0.0
+
+
 def is_lost(k: Parameters, h: Instance) -> cython.bint:
     """Return whether our own state is lost by a fault: one of our own, larger than of any kind."""
     is_ours = cython.declare(cython.bint, is_own(k, k.fault[h.kind].source))
