@@ -10,15 +10,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from ekf_companion.core.memory.constants import FADES
 from ekf_companion.core.memory.enums import Aid, Fault, Source
 from ekf_companion.core.settings.faults import FAULTS
 from ekf_companion.engine.faults import ENDS, EVEN, OF_NO_SIZE, SOURCES, FoundFault
 
 LONGEST_WORDS = 28
 """Characters: of 50, without ``Companion: `` and ``suspected: `` or ``, corrected``."""
-_SECONDS = 60.0
-"""For so long a source that was found to be wrong, and that nothing shows to be right again, is
-told to be: it fails again as easily as that is forgotten (``FADES`` of the kernel)."""
 _DEG = math.degrees(1.0)
 
 NAMES: Mapping[Source, str] = {
@@ -45,7 +43,8 @@ _PASSING = (
     *(Fault.BARO_STEP, Fault.BARO_RAMP, Fault.ACCEL_STEP, Fault.GYRO_STEP),
     *(Fault.FIELD, Fault.VELOCITY_TURN),
 )
-"""Faults that may pass, and whose end nothing shows, unlike that of what is :class:`Held`."""
+"""Faults that may pass, and whose end nothing shows, unlike that of what is :class:`Held`. They
+are told for as long as it takes to be forgotten that a source has failed."""
 _CALIBRATED = (
     *(Fault.DELAY, Fault.LEVER, Fault.BODY_FIELD, Fault.VELOCITY_SCALE, Fault.VELOCITY_LAG),
     *(Fault.BARO_SPEED, Fault.BARO_SCALE),
@@ -183,7 +182,7 @@ def _held(held: Held, found: Iterable[FoundFault]) -> Iterable[Wrong]:
 def _lately(found: Iterable[FoundFault], now_ns: int) -> Iterable[Wrong]:
     """Find what was declared lately of sources that nothing shows to be right again."""
     for one in found:
-        if one.kind in _PASSING and (now_ns - one.until_ns) * 1e-9 <= _SECONDS:
+        if one.kind in _PASSING and (now_ns - one.until_ns) * 1e-9 <= FADES:
             words = _in_words(one.kind, one.size, (now_ns - one.onset_ns) * 1e-9)
             yield Wrong(one.source, words, 1.0, True, ())
 

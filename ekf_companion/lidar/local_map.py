@@ -91,7 +91,7 @@ class LocalMap:
         variance = noise_of_points(scan.points, self.settings)
         if self._begin is None:
             self._begin = stamp
-        time = stamp - self._begin - scan.before
+        time = self.time_of(stamp) - scan.before
         self.voxels.insert(scan.placed(x)[1], variance, time, owner, scan.points)
 
     def _begin_anchor(self, x: State, P: Array, stamp: float) -> Array:

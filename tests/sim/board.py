@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from ekf_companion.config.config import Config
 from ekf_companion.engine.checkpoint import LIMIT, Clocks
 from ekf_companion.engine.companion import Companion
@@ -78,3 +80,10 @@ def lifted(kind=Kind.ARDUPILOT, height=10.0, *, cold=None, seed=1, wait=25.0, st
     loop.pilot.go(0.0, 0.0, height)
     loop.run(9.0)
     return loop, board
+
+
+def land(loop: ClosedLoop) -> float:
+    """Return home, and how far from it that is, m."""
+    loop.pilot.return_home()
+    assert loop.run_until(lambda: loop.pilot.mode == "DISARMED", 90.0)
+    return float(np.hypot(*loop.vehicle.pos_n[:2]))

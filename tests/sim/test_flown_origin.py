@@ -7,7 +7,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from sim_autopilot.closed_loop import ClosedLoop
 from sim_autopilot.personality import Kind
-from tests.sim.board import EARLY, LATE, QUIET, Board, lifted
+from tests.sim.board import EARLY, LATE, QUIET, Board, land, lifted
 
 MOST = 0.5
 """m in any axis, in truth, at a switch and after a restart."""
@@ -19,13 +19,6 @@ def switched(loop, number, seconds=8.0):
     loop.switch(number)
     loop.run(seconds)
     return loop.moved(begin)
-
-
-def land(loop):
-    """Return home, and how far from it that is."""
-    loop.pilot.return_home()
-    assert loop.run_until(lambda: loop.pilot.mode == "DISARMED", 90.0)
-    return float(np.hypot(*loop.vehicle.pos_n[:2]))
 
 
 LONG = pytest.mark.campaign

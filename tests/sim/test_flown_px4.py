@@ -10,7 +10,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.closed_loop import ClosedLoop
 from sim_autopilot.personality import Kind
-from tests.sim.board import EARLY, QUIET, Board
+from tests.sim.board import EARLY, QUIET, Board, land
 
 MOST = 0.5
 """m in any axis, in truth."""
@@ -69,13 +69,6 @@ def switched(loop, parameters=ON_OURS, seconds=8.0):
     loop.autopilot.parameters.update(parameters)
     loop.run(seconds)
     return loop.moved(begin)
-
-
-def land(loop):
-    """Return home, and how far from it that is."""
-    loop.pilot.return_home()
-    assert loop.run_until(lambda: loop.pilot.mode == "DISARMED", 90.0)
-    return float(np.hypot(*loop.vehicle.pos_n[:2]))
 
 
 def counters(loop, begin):

@@ -20,13 +20,12 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     E_VEL,
     MODE_LEVEL,
     MODE_NAVIGATE,
-    NEEDS_FIX,
 )
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import ImuRow, Motion, Scratch
 from cython.cimports.ekf_companion.core.memory.state import State
 from cython.cimports.ekf_companion.core.start import align, yaw_frame
-from cython.cimports.ekf_companion.core.trust import silence
+from cython.cimports.ekf_companion.core.trust import gate, silence
 from cython.cimports.ekf_companion.core.trust.process_noise import scale_noise
 from cython.cimports.libc.math import isfinite, sqrt, tanh
 
@@ -165,9 +164,7 @@ def inflate_after_gap(x: State, k: Parameters, span: float, rate: float, is_gap:
         return
     add_lost(x, span, rate, 1.0)
     if is_gap and span > k.gap_reset and x.mode == MODE_NAVIGATE:
-        x.needs_reset = NEEDS_FIX
-        x.alignment.motion.has_fix = 0.0
-        x.alignment.reference.is_known = 0.0
+        gate.go_by_fixes(x)
 
 
 def inflate_within_gap(x: State, rate: float, done: float, now: float) -> float:

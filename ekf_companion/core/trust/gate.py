@@ -24,6 +24,7 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     AID_HEADING,
     AIDS,
     AZIMUTH_MAGNETIC,
+    NEEDS_FIX,
     VERDICT_DENIED,
     VERDICT_DEWEIGHTED,
     VERDICT_FUSED,
@@ -201,6 +202,13 @@ def begin_reset(x: State, reason: float) -> None:
         x.moved.pos_n[i] = 0.0
         x.moved.vel_n[i] = 0.0
     x.moved.yaw = 0.0
+
+
+def go_by_fixes(x: State) -> None:
+    """Go by the fixes alone from the next one on, until they have shown the attitude."""
+    x.needs_reset = NEEDS_FIX
+    x.alignment.motion.has_fix = 0.0
+    x.alignment.reference.is_known = 0.0
 
 
 def add_to_run(x: State, o: Observation, aid: int) -> None:

@@ -163,6 +163,7 @@ def judge(x: State, k: Parameters, o: Observation, aid: int) -> None:
     b.work[1] = cost(b.work[1], b.rows[1], known)
     for i in range(b.n):
         weigh_reading(x, k, b, i, o, aid, b.work, share, known)
+    weigh_lost(x, k, b, o, aid, share, known)
     if aid < AID_VELOCITY:
         follow_led(k, b, o, aid)
     lost.keep(b, o, aid)
@@ -281,9 +282,6 @@ def weigh_reading(
     if shape.is_wild(h.kind):
         weigh_erratic(x, k, b, h, o, aid, nothing, share)
         return
-    if h.kind == FAULT_STATE_WILD:
-        weigh_lost(x, k, b, h, o, aid, nothing, share, known)
-        return
     to = address(b.trial)
     rows = h.rows
     shown = 0.0
@@ -364,26 +362,22 @@ def weigh_erratic(
 
 
 def weigh_lost(
-    x: State,
-    k: Parameters,
-    b: Bank,
-    h: Instance,
-    o: Observation,
-    aid: int,
-    nothing: Vector,
-    share: float,
-    known: float,
+    x: State, k: Parameters, b: Bank, o: Observation, aid: int, share: float, known: float
 ) -> None:
     """Add what a reading says to the evidence that our own state is wrong in no shape.
 
-    Nothing, where the inertial samples are noisier than configured: any state is off by that.
+    Whenever that began. Nothing, where the inertial samples are noisier than configured: any state
+    is off by that.
     """
     if score.is_noisy(x):
         return
     for g in range(2):
         if b.rows[g] > 0.0:
             wide = cost(lost.find_nis(x, k, b, o, aid, g), b.rows[g], known)
-            h.evidence += 0.5 * share * (nothing[g] - wide)
+            gain = 0.5 * share * (b.work[g] - wide)
+            for i in range(b.n):
+                if b.instance[i].kind == FAULT_STATE_WILD:
+                    b.instance[i].evidence += gain
 
 
 def renew(k: Parameters, b: Bank, aid: int) -> None:

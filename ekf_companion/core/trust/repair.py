@@ -62,7 +62,6 @@ from cython.cimports.ekf_companion.core.memory.enums import (
     FAULT_VELOCITY_SCALE,
     FAULT_VELOCITY_STEP,
     FAULT_VELOCITY_TURN,
-    NEEDS_FIX,
     SHOWS_ALL,
     SOURCE_ACCEL,
     SOURCE_DRAG,
@@ -84,7 +83,7 @@ from cython.cimports.ekf_companion.core.memory.overlay import Vector
 from cython.cimports.ekf_companion.core.memory.parameters import Parameters
 from cython.cimports.ekf_companion.core.memory.scratch import Observation
 from cython.cimports.ekf_companion.core.memory.state import State
-from cython.cimports.ekf_companion.core.trust import delay_search, lost, score, shape
+from cython.cimports.ekf_companion.core.trust import delay_search, gate, lost, score, shape
 from cython.cimports.ekf_companion.core.trust.onsets import begin_instance, drop
 from cython.cimports.libc.math import atan2, exp, log
 
@@ -210,9 +209,7 @@ def lose(x: State, k: Parameters, o: Observation) -> None:
     b.failed_t[SOURCE_STATE] = x.t
     let_go(x, k, b, o)
     reset_variance(x, E_ATT, 3, UNKNOWN_ANGLE)
-    x.needs_reset = NEEDS_FIX
-    x.alignment.motion.has_fix = 0.0
-    x.alignment.reference.is_known = 0.0
+    gate.go_by_fixes(x)
 
 
 def go_on(b: Bank, i: int, odds: float) -> None:
